@@ -17,8 +17,9 @@ from magcal_ros.core.samples import FieldSample, ImuSample
 NED = np.diag([1.0, -1.0, -1.0])
 
 
-def record(folder, axes, scale=1.0):
+def record(folder, axes, scale=1.0, every=2):
     window, knowledge = wrong_case(axes, np.random.default_rng(2), "lift")
+    window = window.take(np.arange(0, len(window), every))
     folder.mkdir()
     imu = np.column_stack([window.time + 1.0, window.specific_force, window.angular_rate])
     mag = np.column_stack([window.time + 1.0, scale * window.field])
@@ -139,7 +140,7 @@ def test_bursts_are_reported_once_with_the_mean_rate(tmp_path, capsys):
 
 def test_the_option_named_by_a_refused_fit_corrects_it(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    arguments = record(tmp_path / "bag", NED)
+    arguments = record(tmp_path / "bag", NED, every=3)
     assert main(["fit", *arguments, "--output", "refused"]) == 4
     (option,) = set(
         re.findall(r"repeat with `(--[^`]*)`", " ".join(capsys.readouterr().out.split()))

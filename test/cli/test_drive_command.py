@@ -135,7 +135,7 @@ def rewritten(folder, name, columns, scale, into):
 
 def test_a_drive_with_a_gyro_in_degrees_is_reported(tmp_path, capsys):
     """The message is not that there was too little data."""
-    good = write_csv(tmp_path / "good", drive(800.0))
+    good = write_csv(tmp_path / "good", drive(400.0))
     folder = rewritten(good, "imu.csv", slice(4, 7), math.degrees(1.0), tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().out

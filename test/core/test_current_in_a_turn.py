@@ -13,6 +13,7 @@ from remembered import remembered
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
 from magcal_ros.core.heading import MotionDetector
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.self_calibration import MotorLearning
 from magcal_ros.core.session import SampleCollector
@@ -52,7 +53,8 @@ def test_a_robot_held_by_its_motors_is_calibrated_for_zero_current(course):
     assert heading_error(scene, without.calibration.correction) > 2.0 * error
 
 
-@pytest.mark.parametrize("seed", first_of([4, 5, 6, 7]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [4, 5, 6, 7])
 def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed):
     scene, outcome = fitted("hold", seed, gap=1.0)
     found = outcome.calibration
@@ -62,15 +64,16 @@ def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed
     assert heading_error(scene, without.calibration.correction) > 3.0 * sigma
 
 
-def test_an_irrelevant_current_does_no_harm():
-    for shape, size in (("none", 0.0), ("step, hold", SIZE)):
-        _, with_it = fitted(shape, 5, size)
-        scene, without = fitted(shape, 5, size, battery=False)
-        sigmas = [calibration_sigma(each.calibration) for each in (with_it, without)]
-        assert sigmas[0] < 1.15 * sigmas[1]
-        assert heading_error(scene, with_it.calibration.correction) < 3.0 * sigmas[0]
-        assert MotorInput.CURRENT not in with_it.calibration.motors.inputs
-        assert math.isnan(with_it.calibration.motors.reference)
+@pytest.mark.parametrize("case", first_of([("step, hold", SIZE), ("none", 0.0)]))
+def test_an_irrelevant_current_does_no_harm(case):
+    shape, size = case
+    _, with_it = fitted(shape, 5, size)
+    scene, without = fitted(shape, 5, size, battery=False)
+    sigmas = [calibration_sigma(each.calibration) for each in (with_it, without)]
+    assert sigmas[0] < 1.15 * sigmas[1]
+    assert heading_error(scene, with_it.calibration.correction) < 3.0 * sigmas[0]
+    assert MotorInput.CURRENT not in with_it.calibration.motors.inputs
+    assert math.isnan(with_it.calibration.motors.reference)
 
 
 def test_without_a_battery_the_motors_have_no_current():
@@ -90,7 +93,9 @@ def test_learning_while_driving_starts_with_the_result_of_the_turn():
     assert learning.sigma(there) == pytest.approx(known.sigma(here), rel=0.01)
 
 
-def test_several_turns_share_the_reference_current():
+def test_several_turns_share_the_reference_current(monkeypatch):
+    # The axes are correct here, and checking them takes as long as the fit.
+    monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
     turns = [turn_with_current("hold", SIZE, number, course="even") for number in (3, 3)]
     windows = [collected(scene.window, messages) for scene, _, messages in turns]
     shifted = replace(windows[1].battery, reference=windows[1].battery.reference - 1.0)
@@ -140,6 +145,7 @@ def test_a_hold_current_is_subtracted_at_rest():
     assert np.abs(off).max() < 0.3e-6
 
 
+@pytest.mark.nightly
 def test_without_a_gyro_the_current_is_used_too():
     scene, known, messages = turn_with_current("hold", SIZE, 3, course="even")
     window = replace(scene.window, angular_rate=None)

@@ -7,24 +7,33 @@ import numpy as np
 import pytest
 from long_form import first_of
 from realistic_robots import heading_error, with_motors
+from remembered import remembered
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core import Figure, calibrate
 from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
+KNOWLEDGE = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
+
+
+@remembered
+def fitted(size, by_rate):
+    """Return the result of a turn, and the largest rate of the motors, whose field has a size."""
+    motion, window = driven(evenly, ROBOT, 6.0)
+    rate = motion.angular_rate[:, 2]
+    full = float(np.abs(rate).max())
+    shape = rate / full if by_rate else (np.abs(rate) > 0.02).astype(float)
+    field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
+    return calibrate(collected(replace(window, field=field)), KNOWLEDGE), full
+
 
 @pytest.mark.parametrize(
-    "case", first_of([(15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)])
+    "case", first_of([(6e-6, True), (15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)])
 )
 def test_the_heading_at_rest_is_correct_and_the_motors_are_reported(case):
     size, by_rate = case
-    motion, window = driven(evenly, ROBOT, 6.0)
-    rate = motion.angular_rate[:, 2]
-    shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)
-    field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
-    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    outcome, _ = fitted(size, by_rate)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     error, figures = math.sqrt(np.mean(gap**2)), outcome.estimate.figures
     assert error < 0.5 * DEGREE
@@ -51,13 +60,8 @@ def test_a_badly_explained_turn_on_the_spot_is_not_taken_for_a_drive(case):
 def test_the_motor_field_is_kept_with_its_covariance(by_rate):
     """A turn at one rate shows the sum of step, side and rate well, the rest by its start only."""
     size = 6e-6
-    motion, window = driven(evenly, ROBOT, 6.0)
-    rate = motion.angular_rate[:, 2]
-    full = float(np.abs(rate).max())
-    shape = rate / full if by_rate else (np.abs(rate) > 0.02).astype(float)
-    field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
-    motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
+    outcome, full = fitted(size, by_rate)
+    motors = outcome.calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.2e-6, 6e-6)):
         inputs, _ = motors.known(MotorState(1.0, turn_rate, side=1.0))
         u = np.kron(inputs, np.eye(3))

@@ -310,7 +310,7 @@ def test_joined_turns_have_a_section(tmp_path, monkeypatch):
     robot = replace(ROBOT, yaw=math.radians(5.0))
     rng = np.random.default_rng(1)
     starts = [slope_rpy(tilt, 0.0, 0.3) for tilt in (0.0, math.radians(10.0))]
-    rides = [turn(samples=300, start_rpy=start) for start in starts]
+    rides = [turn(samples=150, start_rpy=start) for start in starts]
     windows = [measure(robot, ride, rng, gyro=True) for ride in rides]
     names = ["<first>", "second", "copy"]
     knowledge = robot.knowledge(1e-6, math.radians(1.0))

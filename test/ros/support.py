@@ -1,5 +1,6 @@
 """The robot of the ROS tests, and the measurement of its headings."""
 
+import functools
 import math
 import time
 from dataclasses import replace
@@ -81,10 +82,16 @@ def calibrate_quickly(actor):
     return actor.answer(actor.call("finish"))
 
 
+@functools.cache
+def calibrated():
+    """Return the calibration of the robot by one turn."""
+    window = measure(ROBOT, turn(), np.random.default_rng(1))
+    return calibrate(window, ROBOT.knowledge()).calibration
+
+
 def store_calibration(path, pull=0.0, frame="mag_link"):
     """Store a calibration of the robot for a node; `pull` radians were subtracted."""
-    outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
-    calibration = outcome.calibration
+    calibration = calibrated()
     figures = {**calibration.evidence.figures, "steady_pull": pull}
     evidence = replace(calibration.evidence, figures=figures)
     calibration = replace(calibration, evidence=evidence)

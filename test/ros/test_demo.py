@@ -21,7 +21,7 @@ class ShortRehearsal(rehearsal.Rehearsal):
     """Stands at three headings instead of twenty-four, and has fewer samples: most of the demo."""
 
     def __init__(self, *arguments, **options):
-        super().__init__(*arguments, imu_rate=50.0, **options)
+        super().__init__(*arguments, imu_rate=25.0, **options)
 
     def published_errors(self, tilts, headings=3):
         return super().published_errors(tilts, headings)

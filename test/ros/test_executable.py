@@ -1,5 +1,6 @@
 """The package as a ROS user builds and runs it, in separate processes."""
 
+import fcntl
 import os
 import shutil
 import signal
@@ -24,8 +25,22 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def installed(tmp_path_factory):
-    """Build a copy of the checkout with colcon; returns the package's install prefix."""
-    place = tmp_path_factory.mktemp("colcon")
+    """Build a copy of the checkout with colcon; returns the package's install prefix.
+
+    The processes of one test run share it: the first builds, the others wait.
+    """
+    own = tmp_path_factory.getbasetemp()
+    place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "colcon"
+    place.mkdir(exist_ok=True)
+    prefix = place / "install" / "magcal_ros"
+    with (place / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not prefix.is_dir():
+            build(place)
+    return prefix
+
+
+def build(place):
     source = place / "src" / "magcal_ros"
     ignored = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
     shutil.copytree(CHECKOUT, source, ignore=ignored)
@@ -41,7 +56,6 @@ def installed(tmp_path_factory):
         check=False,
     )
     assert built.returncode == 0, built.stdout + built.stderr
-    return place / "install" / "magcal_ros"
 
 
 def before_others(**paths):

@@ -157,6 +157,7 @@ def test_one_turn_calibrates_both_and_the_heading_needs_only_one(start_node, act
     assert robot.answer(robot.call("save")).success
 
 
+@pytest.mark.nightly
 def test_a_magnetometer_that_stops_during_the_turn_does_not_affect_the_others(
     start_node, actor, ros_home
 ):

@@ -39,9 +39,9 @@ from magcal_ros.core.calibration.heading_sigma import (
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.lever import without_lever_arm
+from magcal_ros.core.samples.lever import gravity_size
 from magcal_ros.core.samples.units import (
     ROLLED,
     Z_NOT_UP,
@@ -313,7 +313,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
 
 
 def _check_gravity(window: Window) -> Check:
-    size = usual_size(without_lever_arm(window))
+    size = gravity_size(window.time, window.specific_force, window.angular_rate)
     misfit = abs(size / STANDARD_GRAVITY - 1.0)
     excellent, good = TUNING.gravity_misfits
     grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD

@@ -196,6 +196,8 @@ class PossibleAxes:
             whole = axes
         if is_mirrored(axes):
             words = axes_in_words(whole)
+            if np.array_equal(whole, INVERTED):
+                return f"{words} (the driver gives all three the wrong sign, or {FIELD_POINTS_UP})"
             return f"{words} (mirrored: no mounting explains this; {likely_slip(whole)})"
         named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
         return f"{axes_in_words(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"

@@ -176,8 +176,9 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
     field, iron = (hypothesis.part.size * hypothesis.state[part] for part in (FIELD, IRON))
     field_off, iron_off = (hypothesis.part.size * hypothesis.sigma[part] for part in (FIELD, IRON))
     along = -believed.strength.value * math.sin(believed.inclination.value)
-    # The movement may contradict the other sign.
-    if abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up)):
+    # The movement may show the sign. What the reference is off by must not look as if it did.
+    variance = float(field_off**2 @ up**2) + axial_field_variance(knowledge)
+    if 4.0 * float(up @ field) * along > CLEAR**2 * variance:
         return None
     axial = float(up @ iron)
     both = float(up @ field) + axial

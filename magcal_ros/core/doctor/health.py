@@ -218,9 +218,8 @@ def field_findings(field: FloatArray) -> list[Finding]:
     return found
 
 
-def gravity_size_finding(force: FloatArray) -> Finding:
-    """Check the size of specific force (n, 3), m/s² as published."""
-    size = usual_size(force)
+def gravity_size_finding(force: FloatArray, size: float) -> Finding:
+    """Check the size of gravity that specific forces (n, 3) show, m/s² as published."""
     hint = ""
     if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"

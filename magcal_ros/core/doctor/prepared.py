@@ -12,7 +12,7 @@ from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
-from magcal_ros.core.samples.lever import force_on_the_axis
+from magcal_ros.core.samples.lever import gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
@@ -85,11 +85,10 @@ def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
 
 
 def _gravity_size(log: SensorLog) -> Finding:
-    """Check the size of specific force, without the effect of a lever arm if there is a gyro."""
+    """Check the size of gravity, without the sensor's own motion if there is a gyro."""
     log = _selected(log, _increasing(log.imu_time), np.ones(len(log.field), dtype=np.bool_))
-    if not log.has_gyro:
-        return health.gravity_size_finding(log.force)
-    return health.gravity_size_finding(force_on_the_axis(log.imu_time, log.force, log.rate))
+    rate = log.rate if log.has_gyro else None
+    return health.gravity_size_finding(log.force, gravity_size(log.imu_time, log.force, rate))
 
 
 def _selected(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:

@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     bursts: BurstWatch bursts_in_words spread_bursts spread_each
     coverage: BINS Coverage thin_to_equal_angles yaw_progress
     drive_log: DriveRecorder log_of
-    lever: without_lever_arm
+    lever: gravity_size without_lever_arm
     rest: COLUMNS GyroAtRest rests_around
     spikes: spikes_replaced
     streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample

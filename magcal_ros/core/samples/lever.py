@@ -1,4 +1,4 @@
-"""The additional force on an accelerometer off the axis of rotation."""
+"""Gravity in the specific force of a moving sensor, without lever arm or linear acceleration."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.geometry.rotations import skews
+from magcal_ros.core.geometry.arrays import FloatArray, block_means, trapezoids
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, skews
 from magcal_ros.core.samples.window import Window
 
 
@@ -22,9 +22,34 @@ class LeverTuning:
     rounds: int = 20
     most: int = 5000  # samples that are fitted
     fewest: int = 20
+    seconds: float = 4.0  # of one mean; a hand changes its velocity by little over this time
 
 
 TUNING = LeverTuning()
+
+
+def gravity_size(time: FloatArray, force: FloatArray, rate: FloatArray | None) -> float:
+    """Return the size of gravity in specific forces (n, 3), m/s² as published.
+
+    The acceleration of the sensor is unknown. A lever arm adds to single samples, and linear
+    acceleration changes their lengths but not their mean over some seconds, in axes that do not
+    rotate. Of both sizes the one nearer to gravity is returned: a difference that motion explains
+    is not the accelerometer's. Without a gyro the usual length of the samples is returned.
+
+    `time` (n,) increases, seconds. `rate` (n, 3) is in rad/s.
+    """
+    if rate is None or len(time) < TUNING.fewest:
+        return usual_size(force)
+    sizes = usual_size(force_on_the_axis(time, force, rate)), _size_of_means(time, force, rate)
+    return min(sizes, key=lambda size: abs(size - STANDARD_GRAVITY))
+
+
+def _size_of_means(time: FloatArray, force: FloatArray, rate: FloatArray) -> float:
+    """Return the usual length of the means of specific forces in axes that do not rotate."""
+    path = chained(exp_rotations(-trapezoids(time, rate))[None])[0]
+    count = max(1, round(float(time[-1] - time[0]) / TUNING.seconds))
+    first = np.unique(np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[:-1]))
+    return usual_size(block_means(np.einsum("nij,ni->nj", path, force), first))
 
 
 def without_lever_arm(window: Window) -> FloatArray:

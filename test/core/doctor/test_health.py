@@ -46,7 +46,7 @@ def test_good_streams_give_no_warning(field, force):
     jitter = np.random.default_rng(3).uniform(-4e-3, 4e-3, COUNT)
     assert not stamps_finding("field", 0.025 * np.arange(COUNT) + jitter).is_wrong
     assert not wrong(found_in(field))
-    assert not gravity_size_finding(force).is_wrong
+    assert not gravity_size_finding(force, 9.8).is_wrong
     assert not alive_finding("gyro", force).is_wrong
 
 
@@ -153,7 +153,7 @@ def test_coarse_numbers_of_a_quiet_sensor_are_no_repeats():
 
 @pytest.mark.parametrize(("factor", "words"), [(1.0 / 9.8, "g published"), (2.0, "scale")])
 def test_a_wrong_size_of_gravity_is_named(force, factor, words):
-    assert words in gravity_size_finding(factor * force).remedy
+    assert words in gravity_size_finding(factor * force, factor * 9.8).remedy
 
 
 @pytest.mark.parametrize("seconds", first_of([0.1, 1.0, 0.5, 1.25, 1.5], 2))

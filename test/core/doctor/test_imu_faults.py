@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
+from remembered import remembered
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, driven, evenly
 
@@ -111,13 +112,18 @@ def test_an_imu_upside_down_is_distinguished_from_gravity_of_the_wrong_sign():
     assert wrong(report_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
 
 
+@remembered
+def mirrored_on_the_level(seed):
+    """The report on a level turn whose gyro is mirrored."""
+    case = good_case(np.random.default_rng([6, seed]), "turn")
+    return report_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
+
+
 @pytest.mark.parametrize("seeds", first_of([range(1, 2), range(3)]))
 def test_an_ambiguity_of_a_level_turn_is_one_finding_with_a_movement(seeds):
     asked = 0
     for seed in seeds:
-        case = good_case(np.random.default_rng([6, seed]), "turn")
-        mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
-        (line,) = [f for f in report_of(case, mirrored).findings if f.is_wrong]
+        (line,) = [f for f in mirrored_on_the_level(seed).findings if f.is_wrong]
         assert line.key in ("axes", "gyro_axes")
         asked += line.key == "axes"
         if line.key == "axes":
@@ -422,7 +428,5 @@ def test_wrong_axes_of_the_imu_are_not_attributed_to_the_magnetometer():
 
 
 def test_the_distinguishing_movement_is_asked_for_once():
-    case = good_case(np.random.default_rng([6, 1]), "turn")
-    report = report_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
-    (line,) = [f for f in report.findings if f.key == "axes"]
+    (line,) = [f for f in mirrored_on_the_level(1).findings if f.key == "axes"]
     assert line.remedy.count("lift the nose") == 1

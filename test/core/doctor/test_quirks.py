@@ -1,6 +1,7 @@
 """Each known fault of a driver is named when it is simulated, and only then."""
 
 import functools
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +10,21 @@ import numpy as np
 import pytest
 from imu_faults_cases import good_case
 from long_form import first_of
+from realistic_robots import SAMPLES, SECONDS, driven, evenly
 from scipy.spatial.transform import Rotation
+from simulated.turns import measure, smooth_wobble
 
-from magcal_ros.core import Window, calibrate
-from magcal_ros.core.doctor import AK09916_IN_ICM20948, AK8963_IN_MPU9250, QUIRKS, WRAP, examine
+from magcal_ros.core import Belief, Knowledge, ReferenceField, Window, calibrate
+from magcal_ros.core.doctor import (
+    AK09916_IN_ICM20948,
+    AK8963_IN_MPU9250,
+    QUIRKS,
+    WRAP,
+    examine,
+    examine_window,
+)
 from magcal_ros.core.geometry import interpolated, rotation_from_rpy
+from magcal_ros.core.simulation import Robot
 
 MOTION = "half minute"
 
@@ -188,3 +199,18 @@ def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     knowledge = replace(case.knowledge, reference=replace(known, inclination=other))
     lines = wrong_lines(replace(case, knowledge=knowledge), case.log)
     assert any("NED" in line for line in lines)
+
+
+@pytest.mark.parametrize("seed", first_of(range(20), 3))
+def test_a_field_that_points_up_on_a_swaying_robot_is_no_single_reversed_axis(seed):
+    """All three axes seemed reversed, and the remedy blamed the driver's x."""
+    rng = np.random.default_rng(seed)
+    robot = Robot(inclination=-1.14, noise_field=0.2e-6, roll=0.0, pitch=0.0)
+    sway = smooth_wobble(rng, SAMPLES, SECONDS, math.radians(rng.uniform(0.3, 2.5)))
+    motion = driven(evenly, 2.0 * math.pi, (0.0, 0.03, 0.0), sway)
+    strength = Belief(1.06 * robot.strength, 0.03 * robot.strength)
+    knowledge = Knowledge(ReferenceField(strength=strength, inclination=Belief(1.15, 0.02)))
+    report = examine_window(measure(robot, motion, rng, gyro=True), knowledge)
+    remedies = [finding.remedy for finding in report.findings if finding.is_wrong]
+    assert any("NED" in remedy for remedy in remedies)
+    assert not any("most likely x" in remedy for remedy in remedies)

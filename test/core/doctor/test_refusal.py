@@ -88,7 +88,7 @@ def test_a_gyro_that_measures_about_z_calibrates_a_turn_between_rests(axes, word
     legs = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
     rng = np.random.default_rng(40)
     vehicle = Vehicle(Robot(noise_rate=2e-3))
-    drive = simulated_drive(travel(legs, rng, rate=25.0), rng, vehicle, streets=None)
+    drive = simulated_drive(travel(legs, rng, rate=15.0), rng, vehicle, streets=None)
     turned = with_rate(Window(drive.time, drive.field, drive.force, drive.rate), *axes)
     assert wrong_axes(turned, Knowledge()) is None
     outcome = calibrate(turned, Knowledge())

@@ -177,7 +177,7 @@ def test_a_disturbed_magnetometer_is_left_out_within_a_second_and_reported(iron)
     rows = scene.run(1.0, 0.3)
     assert scene.weights[1] < 0.1
     assert scene.why(1)
-    rows = np.concatenate([rows[-5:], scene.run(30.0, 0.3)])
+    rows = np.concatenate([rows[-5:], scene.run(15.0, 0.3)])
     assert np.abs(rows[:, 1]).max() < math.radians(4.0)
     scene.iron.clear()
     scene.run(3.0, 0.3)

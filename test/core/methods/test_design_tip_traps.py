@@ -33,6 +33,7 @@ class TestD3NormalsKeepTheirSense:
         example = printed_tip.simulate(installation_deg=self.INSTALLATION)
         assert worst_difference(example, ours(example)) < 1e-10
 
+    @pytest.mark.nightly
     def test_on_a_grid_of_installations(self):
         wrong = {"printed": 0, "ours": 0}
         for roll in range(-80, 81, 40):

@@ -48,6 +48,7 @@ def test_a_mirrored_gyro_is_found_in_a_weak_field():
     assert outcome.reason in (Reason.CIRCLE_TOO_SMALL, Reason.AXES_DISAGREE)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of(range(2)))
 @pytest.mark.parametrize("wiring", first_of(["ned", "sign", "swap"]))
 def test_wrong_axes_are_reported_whatever_the_fit(seed, wiring):

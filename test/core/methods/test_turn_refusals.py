@@ -79,13 +79,14 @@ def test_sensors_without_values():
 
 
 def test_a_gyro_of_another_robot():
-    plain = window_of()
-    rate = np.zeros((500, 3))
+    plain = window_of(samples=400)
+    rate = np.zeros((400, 3))
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
     window = Window(plain.time, plain.field, plain.specific_force, rate)
     assert not calibrate(window, Robot().knowledge()).verdict.accepted
 
 
+@pytest.mark.nightly
 def test_a_magnetometer_that_is_upside_down_is_named():
     robot = Robot(roll=175 * DEGREE, pitch=5 * DEGREE)
     window = measure(robot, turn(samples=200), np.random.default_rng(7), gyro=True)

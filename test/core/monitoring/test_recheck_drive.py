@@ -77,6 +77,7 @@ def test_an_accelerometer_bias_is_not_taken_for_iron():
     assert iron_added(log_of(circling), made.calibration).grade is Grade.GOOD
 
 
+@pytest.mark.nightly
 def test_one_street_is_not_enough_to_call_a_calibration_stale():
     rng = np.random.default_rng(6)
     vehicle = random_vehicle(rng)

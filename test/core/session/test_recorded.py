@@ -35,7 +35,7 @@ def fitted(samples, knowledge=KNOWLEDGE):
 def test_the_speed_of_wheels_distinguishes_a_drive_from_a_small_circle():
     rng = np.random.default_rng(1)
     legs = [Leg(4.0)]
-    for _ in range(8):
+    for _ in range(5):
         bend = rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.6)
         legs += [Leg(rng.uniform(4.0, 10.0), speed=2.0), Leg(4.0, speed=2.0, turn_rate=bend)]
     way, robot = travel(legs, rng, rate=25.0), Robot(noise_force=0.05, noise_rate=2e-3)

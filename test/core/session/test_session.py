@@ -277,10 +277,16 @@ class TestMemory:
         arc = session.progress(2000.0).coverage.arc
         assert arc == pytest.approx(min(turns, 1.0) * math.tau, abs=0.15)
 
-    def test_a_long_rest_does_not_displace_the_turn(self):
+    @pytest.fixture
+    def small_buffer(self, monkeypatch):
+        """A buffer of a twentieth of the real size."""
+        smaller = replace(TUNING, largest_buffer=1024)
+        monkeypatch.setattr("magcal_ros.core.session.session.TUNING", smaller)
+
+    def test_a_long_rest_does_not_displace_the_turn(self, small_buffer):
         moving = simulated(arc=6.0, samples=400, duration=12.0)
         session = session_with(moving)
-        standing = simulated(arc=0.0, samples=60_000, duration=600.0, start_rpy=(0.0, 0.0, 6.0))
+        standing = simulated(arc=0.0, samples=3_000, duration=600.0, start_rpy=(0.0, 0.0, 6.0))
         for pair in pairs_of(standing):
             later = pair.field.stamp + 20.0
             session.add(Pair(pair.field._replace(stamp=later), pair.imu), 50.0)
@@ -288,10 +294,8 @@ class TestMemory:
         assert session.window().time[0] == 100.0
 
     @pytest.mark.parametrize("gyro", first_of([True, False]))
-    def test_a_slow_turn_is_kept_completely(self, monkeypatch, gyro):
+    def test_a_slow_turn_is_kept_completely(self, small_buffer, gyro):
         """As an hour at 1 kHz in the real buffer: 180 times what it holds."""
-        smaller = replace(TUNING, largest_buffer=1024)
-        monkeypatch.setattr("magcal_ros.core.session.session.TUNING", smaller)
         steady = Robot(gyro_bias=np.zeros(3), noise_rate=1e-6)
         window = simulated(steady, gyro=gyro, arc=math.tau, samples=60_000, duration=60.0)
         found = session_with(window).window()

@@ -195,6 +195,7 @@ def test_added_iron_is_found_in_ninety_seconds(drive):
     assert after < min(6.0, 3.0 * math.degrees(found.posterior.heading_sigma))
 
 
+@pytest.mark.nightly
 def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, nodes):
     true = drive.vehicle.robot.true_correction
     wrong = drive.vehicle.with_iron(np.array([5e-6, 0.0, 0.0])).robot.true_correction

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,6 +44,7 @@ def posterior(prior: GaussianEarthPrior, information: np.ndarray, at: np.ndarray
     return mean, np.linalg.inv(total)
 
 
+@examples(10)
 @given(
     level=st.floats(15.0, 40.0),
     down=st.floats(-50.0, 55.0),

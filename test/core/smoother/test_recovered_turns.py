@@ -96,6 +96,7 @@ def test_a_disturbed_field_shows_in_the_deviation_of_compass_from_gyro():
     assert estimate.figures[Figure.GYRO_COMPASS_SWING] > 1.0 * DEGREE
 
 
+@pytest.mark.nightly
 def test_soft_iron_is_found():
     iron = np.diag([0.04, -0.04, 0.0])
     robot = Robot(soft_iron=iron, noise_field=0.3e-6)

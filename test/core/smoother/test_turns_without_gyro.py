@@ -67,6 +67,7 @@ def test_a_turn_is_recovered_about_any_axis_in_either_sense(axis, start, sense):
     assert Figure.GYRO_CARRIED not in estimate.figures
 
 
+@pytest.mark.nightly
 def test_a_board_that_is_mounted_upside_down_is_recovered(level):
     flip = np.diag([1.0, -1.0, -1.0])
     window, upright = level

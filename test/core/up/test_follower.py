@@ -49,7 +49,7 @@ def test_a_circle_does_not_tilt_up(watched):
     course, errors = watched
     course.go(3.0)
     course.go(1.5, acceleration=2.0 * FORWARD)
-    course.circle(60.0)
+    course.circle(30.0)
     assert errors.rms() < 0.6
 
 
