@@ -21,8 +21,6 @@ from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, PASSED, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
-    EXACT_NODE,
-    NODE,
     guesses,
     in_a_circle,
     in_a_gradient,
@@ -51,8 +49,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
 
     Raises `Refusal` if no fit converges.
     """
-    longest = EXACT_NODE if knowledge.exact_sensors else NODE
-    nodes = nodes_by_field(window, knowledge.mounting.to_body, longest)
+    nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())

@@ -38,9 +38,9 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE, EXACT_NODE = 0.3, 0.15
-"""Seconds of a node; a sway of more than 1 Hz is not resolved. With exact sensors the sway that is
-not resolved would be the largest error."""
+NODE, SWAY_SMOOTHED = 0.3, 0.1
+"""Seconds of a node at most, and those (one sigma) over which the force is averaged for the rate of
+the sway: a robot that sways may tilt by `Spacing.most_turn` (RMS) during a node."""
 AXIS = 0.3  # sigma of the turn's axis off its guess, radians per axis
 CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
 Z = np.array([0.0, 0.0, 1.0])
@@ -61,30 +61,34 @@ SWAY: Mapping[str, Size] = {
 }
 
 
-def nodes_by_field(window: Window, to_body: FloatArray, longest: float = NODE) -> Nodes:
-    """Return the nodes of a window without a gyro, with the turn rate from the field.
-
-    `longest` is the longest duration of a node, seconds.
-    """
+def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
+    """Return the nodes of a window without a gyro, with the turn rate from the field."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
     usual = unit(np.median(window.specific_force, axis=0))
     axis = circle.normal * math.copysign(1.0, float(circle.normal @ usual))
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
-    rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
+    rate = np.gradient(-_smooth(window.time, turn[:, None], SMOOTHED), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate, missed=None)
-    nodes = nodes_of(made, to_body, Spacing(longest=longest))
+    nodes = nodes_of(made, to_body, Spacing(longest=_longest(window)))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 
-def _smooth(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values averaged over `SMOOTHED` seconds to both sides, about a straight line."""
+def _longest(window: Window) -> float:
+    """Return the duration of a node in which a robot sways by at most `Spacing.most_turn`, RMS."""
+    up = unit(_smooth(window.time, window.specific_force, SWAY_SMOOTHED))
+    rate = np.linalg.norm(np.gradient(up, window.time, axis=0), axis=1)
+    return min(NODE, Spacing().most_turn / max(math.sqrt(float(np.mean(rate**2))), 1e-9))
+
+
+def _smooth(time: FloatArray, values: FloatArray, seconds: float) -> FloatArray:
+    """Return values averaged over some seconds to both sides, about a straight line."""
     step = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / 2000.0)
     grid = np.arange(time[0], time[-1] + step, step)
     rows = interpolated(grid, time, values)
-    reach = max(1, min(round(3.0 * SMOOTHED / step), (len(grid) - 1) // 2))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / SMOOTHED) ** 2)
+    reach = max(1, min(round(3.0 * seconds / step), (len(grid) - 1) // 2))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / seconds) ** 2)
     padded = np.pad(rows, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
     smooth = np.stack(
         [np.convolve(axis, kernel / kernel.sum(), mode="valid") for axis in padded.T], axis=1
@@ -141,7 +145,7 @@ def guesses(
     nodes: Nodes, priors: Priors, reference: ReferenceField
 ) -> list[tuple[Nodes, State, Priors]]:
     """Return the starts: every geometric solution for axis, circle and dip."""
-    up = unit(_smooth(nodes.time, nodes.mean_force))
+    up = unit(_smooth(nodes.time, nodes.mean_force, SMOOTHED))
     found = []
     assert nodes.tied_to is not None
     for guess in starts(nodes.field, up, reference):
