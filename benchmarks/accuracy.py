@@ -202,7 +202,8 @@ def _judge(tally: Tally, estimate: Estimate, robot: Robot) -> None:
     scale = np.concatenate([np.ones(9), np.full(3, 1.0 / robot.strength)])
     error = scale * (estimate.correction.parameters - robot.true_correction.parameters)
     values, vectors = np.linalg.eigh(estimate.covariance * np.outer(scale, scale))
-    shown = values > 1e-10 * values[-1]
+    # A rotation has three degrees of freedom; along others its matrix varies in the second order.
+    shown = values > values[-1] ** 2
     along = vectors[:, shown].T @ error
     tally.nees.append(float(np.mean(along**2 / values[shown])))
     poses = trial_attitudes()

@@ -64,9 +64,6 @@ MOST_FITS = 3 * len(KINDS)
 LATE_BY = 0.1  # initial delay of the field in the iterations of `LATE`, seconds
 CONFOUNDED = "installation", "soft_iron", "axes", "iron"
 """Unknowns that are confounded with a part moved on the robot."""
-NO_WEIGHT = 1e-4
-"""Relative odds below which a kind of motion is left out: it would add a variance only where the
-sensors are exact."""
 LARGEST_GAIN = 3.0  # by which soft iron may amplify the field along an axis: its prior ends there
 NEAR_LIMIT = 0.95
 """Fraction of the largest gyro noise from which the gyro disagrees with the other sensors."""
@@ -339,9 +336,6 @@ def mixture_of_kinds(
         n: usual.get(n, 1.0) * math.exp(-EVIDENCE_WEIGHT * min(f.evidence - least, 700.0))
         for n, f in fits.items()
     }
-    most = max(odds.values())
-    odds = {name: value for name, value in odds.items() if value > NO_WEIGHT * most}
-    fits = {name: fits[name] for name in odds}
     weights = {name: value / sum(odds.values()) for name, value in odds.items()}
     best = max(weights, key=lambda name: weights[name])
     found = {name: posterior(each, knowledge.mounting.matrix) for name, each in fits.items()}
