@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageChops
+from PIL.PngImagePlugin import PngInfo
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 sys.path.insert(1, str(CHECKOUT / "cases"))
@@ -49,6 +50,8 @@ WIDTH, TALLEST = 1000, 4000
 """Pixels of the window."""
 REPORT = 1782
 """Pixels of the report, down to the end of its pictures."""
+WORDS = "words"
+"""Key under which a picture holds the words of its page: a test compares them with today's."""
 BELOW = 12
 """Pixels that stay under the last line."""
 COLOURS = 256
@@ -138,12 +141,18 @@ def shown(written: str) -> str:
     return "\n".join(line.rstrip() for line in lines).strip("\n")
 
 
-def photograph_terminal(name: str, columns: int, *words: str) -> None:
-    """Draw a terminal after a command."""
+def terminal(name: str, columns: int, *words: str) -> Path:
+    """Return a page that shows a terminal after a command."""
     page = Path(f"{name}.html")
     text = html.escape(f"$ magcal {' '.join(words)}\n{typed(columns, *words)}")
     page.write_text(f"{TERMINAL}<pre style='width: {columns}ch'>{text}</pre>", encoding="utf-8")
-    photograph(page.resolve(), FOLDER / f"{name}.png")
+    return page.resolve()
+
+
+def words_in(page: Path) -> str:
+    """Return the different words of a page, without numbers and names of files."""
+    text = re.sub(r"(?s)<style.*?</style>|<[^>]*>", " ", page.read_text(encoding="utf-8"))
+    return " ".join(sorted(set(re.findall(r"(?<![\w/.])[^\W\d_]+(?![\w/])", html.unescape(text)))))
 
 
 def photograph(page: Path, picture: Path, height: int = TALLEST) -> None:
@@ -166,25 +175,31 @@ def photograph(page: Path, picture: Path, height: int = TALLEST) -> None:
     picture.parent.mkdir(exist_ok=True)
     # An octree keeps the colours of a few marks, too.
     few = cut.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.save(picture, optimize=True)
+    words = PngInfo()
+    words.add_itxt(WORDS, words_in(page))
+    few.save(picture, optimize=True, pnginfo=words)
     print(f"{picture.relative_to(CHECKOUT)}: {picture.stat().st_size // 1000} kB")
+
+
+def page_of(name: str) -> Path:
+    """Return the page that a picture shows."""
+    kind, _, columns = name.partition("_")
+    if kind == "drive":
+        a_drive(Path("drive"))
+        return written("drive", Path("drive"))
+    if kind == "demo":
+        return terminal(name, int(columns), "demo", "--speed", "4")
+    a_turn(Path("turn"))
+    if kind == "doctor":
+        return terminal(name, int(columns), "doctor", "turn", *REFERENCE)
+    return written("fit", Path("turn"))
 
 
 def draw(names: Iterable[str]) -> None:
     """Draw some of the pictures."""
     for name in names:
-        kind, _, columns = name.partition("_")
-        if kind == "report":
-            a_turn(Path("turn"))
-            photograph(written("fit", Path("turn")), FOLDER / "report.png", REPORT)
-        elif kind == "drive":
-            a_drive(Path("drive"))
-            photograph(written("drive", Path("drive")), FOLDER / "drive.png")
-        elif kind == "doctor":
-            a_turn(Path("turn"))
-            photograph_terminal(name, int(columns), "doctor", "turn", *REFERENCE)
-        else:
-            photograph_terminal(name, int(columns), "demo", "--speed", "4")
+        height = REPORT if name == "report" else TALLEST
+        photograph(page_of(name), FOLDER / f"{name}.png", height)
 
 
 if __name__ == "__main__":

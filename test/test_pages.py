@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from long_form import first_of
 from simulated.turns import measure, turn
 
 from magcal_ros.core.simulation import Robot
@@ -71,6 +72,16 @@ def test_pictures_are_small_and_shown():
     for picture in pictures:
         assert picture.stat().st_size < 150_000
         assert f"pictures/{picture.name})" in shown
+
+
+@pytest.mark.parametrize("name", first_of(["doctor_80", "report", "drive"], 2))
+def test_pictures_have_the_words_of_today(monkeypatch, tmp_path, name):
+    """If not: `make pictures`."""
+    image = pytest.importorskip("PIL.Image", reason="needs Pillow, which matplotlib brings along")
+    monkeypatch.chdir(tmp_path)
+    pictures = runpy.run_path(str(CHECKOUT / "doc" / "pictures.py"))
+    held = image.open(CHECKOUT / "doc" / "pictures" / f"{name}.png").text
+    assert pictures["words_in"](pictures["page_of"](name)).split() == held["words"].split()
 
 
 def test_the_site_has_every_page():

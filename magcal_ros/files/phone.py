@@ -33,6 +33,10 @@ NAMES = logs.SensorNames(
         "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
     ),
 )
+NO_GYRO = (
+    "there is no gyroscope: record it if the phone has one. Without it only a slow turn on the "
+    "spot is calibrated"
+)
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
@@ -50,15 +54,16 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    FileError, with the sensors to record, if one is missing or gravity was subtracted.
+    FileError, with the sensors to record, if accelerometer or magnetometer is missing or gravity
+    was subtracted. Without a gyroscope the rates are NaN.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
     notes: list[str] = []
     read = _logger_sensors if logger else _phyphox_sensors
-    force, rate, field = sensors = read(path, headers, notes)
-    if force is None or rate is None or field is None:
-        names = zip(("accelerometer", "gyroscope", "field"), sensors, strict=True)
+    force, rate, field = read(path, headers, notes)
+    if force is None or field is None:
+        names = zip(("accelerometer", "field"), (force, field), strict=True)
         missing = [name for name, table in names if table is None]
         raise FileError(
             f"{printable(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
@@ -71,9 +76,13 @@ def read_phone(path: Path) -> Recording:
             "the accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
             "Acceleration, or Gravity beside the accelerometer)"
         )
+    turns = np.full_like(force[:, 1:], math.nan)
+    if rate is None:
+        notes.append(NO_GYRO)
+    else:
+        turns = interpolated(force[:, 0], rate[:, 0], rate[:, 1:4])
+        turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
     tables = logs.LogTables(notes=notes)
-    turns = interpolated(force[:, 0], rate[:, 0], rate[:, 1:4])
-    turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
     imu = [force[:, 0], force[:, 1:] @ FLU_FROM_PHONE.T, turns @ FLU_FROM_PHONE.T]
     tables.imus[0] = np.column_stack(imu)
     tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])

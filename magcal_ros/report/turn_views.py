@@ -237,6 +237,9 @@ def caption_of_residuals(turn: Turn) -> str:
     )
 
 
+HOLE = 0.55  # radius of the hole of the ring, of 1.6 in all
+
+
 def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.set_theta_zero_location("N")
     counts = np.zeros(BINS)
@@ -247,9 +250,9 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     centre = (np.arange(BINS) + 0.5) * width
     # With square roots, the areas of the bars are comparable.
     height = np.sqrt(counts / max(float(counts.max()), 1.0))
-    axes.bar(centre, height, width=0.9 * width, bottom=0.55, color=CORRECTED)
+    axes.bar(centre, height, width=0.9 * width, bottom=HOLE, color=CORRECTED)
     empty = centre[counts == 0.0]
-    axes.bar(empty, 1.0, width=width, bottom=0.55, color="#F6D9C6", edgecolor=RAW, linewidth=0.3)
+    axes.bar(empty, 1.0, width=width, bottom=HOLE, color="#F6D9C6", edgecolor=RAW, linewidth=0.3)
     axes.set(ylim=(0.0, 1.6), yticks=[])
     axes.set_xticks(np.radians([0, 90, 180, 270]))
     axes.set_xticklabels(["start", "90° left", "180°", "90° right"])
@@ -261,8 +264,8 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.spines["polar"].set_visible(False)
     # With a fit, the arc is the same as in the table of numbers.
     arc = turn.coverage.arc if turn.corrected is None else turn.corrected.estimate.arc
-    seen = f"{math.degrees(arc):.0f}°\nmeasured"
-    axes.text(0.0, 0.0, seen, ha="center", va="center", fontsize=9.5)
+    measured = f"{math.degrees(arc):.0f}°\narc"
+    axes.text(0.0, 0.0, measured, ha="center", va="center", fontsize=9.5)
 
 
 def _draw_raw_field(axes: Any, turn: Turn) -> None:

@@ -16,7 +16,7 @@ from magcal_ros.core import Figure, Outcome, Window, calibrate_turns
 from magcal_ros.core.assessment import DRIVE_BOUNDS, HEADING_BOUNDS, NO_YAW, TURN_BOUNDS, judge
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import Robot
-from magcal_ros.report import write_report
+from magcal_ros.report import turn_views, write_report
 from magcal_ros.report.page import figure_row
 
 LARGEST_PAGE = 1_000_000
@@ -137,6 +137,20 @@ def test_four_pictures_with_captions(tmp_path):
         assert f">{label}<" in page
     for unit in ("[µT]", "[°]"):
         assert unit in page
+
+
+def test_the_words_in_the_ring_fit_into_its_hole(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    monkeypatch.setattr(turn_views, "_inline", lambda *_: "")
+    write_report(tmp_path, good())
+    ring = next(axes for figure in drawn for axes in figure.axes if axes.name == "polar")
+    ring.figure.canvas.draw()
+    inside = ring.transData.inverted().transform(ring.texts[-1].get_window_extent().corners())
+    assert inside[:, 1].max() < turn_views.HOLE
 
 
 def test_ids_are_unique(tmp_path):
@@ -267,7 +281,7 @@ WITHOUT_MATPLOTLIB = """
 import pickle, sys
 from pathlib import Path
 sys.modules["matplotlib"] = None
-from magcal_ros.report import write_report
+from magcal_ros.report import turn_views, write_report
 write_report(Path(sys.argv[1]), pickle.load(sys.stdin.buffer))
 """
 

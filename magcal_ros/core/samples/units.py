@@ -32,7 +32,7 @@ class FieldUnit:
 
 
 FIELD_UNITS: tuple[FieldUnit, ...] = (
-    FieldUnit("gauss", "1e-4", (0.2, 0.7), (0.05, 5.0), "imu_3dm_gx4, Gazebo"),
+    FieldUnit("gauss", "1e-4", (0.2, 0.7), (0.05, 5.0), "VectorNav, imu_3dm_gx4, Gazebo"),
     FieldUnit("a relative unit (1 on Earth)", LOCAL_STRENGTH, (0.7, 1.2), (0.7, 1.3), "Xsens MTi"),
     FieldUnit(
         "a relative unit (1.4 on Earth)", LOCAL_STRENGTH, (1.2, 1.9), (1.2, 1.9), "Inertial Sense"

@@ -30,16 +30,16 @@ def test_the_named_factor_converts_the_field_to_tesla(tesla, name, per_tesla, fa
 @pytest.mark.parametrize(
     ("strength", "sigma", "drivers"),
     [
-        (0.48, 0.02, ["imu_3dm_gx4"]),
+        (0.48, 0.02, ["VectorNav", "imu_3dm_gx4"]),
         (0.96, 0.05, ["Xsens"]),
         (1.39, 0.05, ["Inertial Sense"]),
         (1.25, 0.1, ["Xsens", "Inertial Sense"]),
-        (0.1, 0.005, ["imu_3dm_gx4"]),
+        (0.1, 0.005, ["VectorNav", "imu_3dm_gx4"]),
     ],
 )
 def test_a_strength_without_hard_iron_distinguishes_units(strength, sigma, drivers):
     words = unit_by_strength(strength, sigma)
-    all_drivers = ["imu_3dm_gx4", "Xsens", "Inertial Sense", "MAVROS"]
+    all_drivers = ["VectorNav", "imu_3dm_gx4", "Xsens", "Inertial Sense", "MAVROS"]
     assert [each for each in all_drivers if each in words] == drivers
     assert unit_by_strength(strength * 1e-4) == ""
 

@@ -18,7 +18,7 @@ LOOK = 1.0
 @pytest.mark.parametrize(
     ("size", "way", "lasts"),
     [
-        *((10e-6, 0.25 * math.pi * eighth, math.inf) for eighth in range(8)),
+        *((10e-6, 0.125 * math.pi * sixteenth, math.inf) for sixteenth in range(16)),
         (27e-6, 0.0, 50.0),
         (0.0, 0.0, 0.0),
     ],

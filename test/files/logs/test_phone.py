@@ -83,6 +83,17 @@ def test_a_missing_sensor_is_named(tmp_path):
         numbers(path)
 
 
+@pytest.mark.parametrize("kind", ["android", "phyphox"])
+def test_a_phone_without_a_gyroscope_is_read_without_rates(tmp_path, kind):
+    path = WRITERS[kind](tmp_path / "phone")
+    (path / "Gyroscope.csv").unlink()
+    source, imu, field = numbers(path)
+    assert imu[:, :3] == pytest.approx(IMU[:, :3], abs=1e-6)
+    assert np.isnan(imu[:, 3:]).all()
+    assert len(field) == len(FIELD)
+    assert any("no gyroscope" in note for note in source.notes)
+
+
 def test_topics_are_refused_for_a_phone(tmp_path):
     with pytest.raises(UsageError, match="without topics"):
         numbers(WRITERS["phyphox"](tmp_path / "phone"), imu="/imu")
