@@ -63,8 +63,9 @@ def run_check(options: argparse.Namespace) -> int:
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [own] if own else []
     try:
-        window = recording.collector.window(recording.reference.field)
-        result = check(window, calibration, drive=recording.collector.drive())
+        with recorded.with_progress(lambda: "checking", sys.stderr):
+            window = recording.collector.window(recording.reference.field)
+            result = check(window, calibration, drive=recording.collector.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{common.bullets('About the recording:', notes)}"
@@ -82,7 +83,8 @@ def run_check(options: argparse.Namespace) -> int:
         magnetometer_frame=frame,
         imu_frame=recording.source.imu_frame,
     )
-    report = write_report(folder, subject)
+    with recorded.with_progress(lambda: "writing the report", sys.stderr):
+        report = write_report(folder, subject)
     reference = recording.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()

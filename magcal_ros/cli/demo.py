@@ -164,7 +164,7 @@ def _comparison(calibration: Calibration, installation_rpy_deg: Sequence[float])
         ("installation pitch (°)", math.degrees(ROBOT.pitch), pitch),
     ]
     lines = [f"{'':28s}{'true':>9s}{'found':>9s}{'error':>9s}"]
-    lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{f - t:9.2f}" for name, t, f in rows]
+    lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{round(f - t, 2) + 0.0:9.2f}" for name, t, f in rows]
     return "\n".join(lines) + "\n"
 
 

@@ -93,7 +93,9 @@ def run(options: argparse.Namespace) -> int:
     if options.compare:
         common.tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
-    files = _write_files(folder, fitted, options)
+    quality = fitted.outcome.verdict.quality.value
+    with recorded.with_progress(lambda: f"quality {quality}; writing the report", sys.stderr):
+        files = _write_files(folder, fitted, options)
     common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
     return fitted.status
 

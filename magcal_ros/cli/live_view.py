@@ -150,7 +150,7 @@ def advice(progress: dict[str, Any]) -> str:
     """Return what to do next, in a few words."""
     rate = abs(progress["turn_rate_deg_s"])
     if progress["stage"] != "collecting":
-        return "complete: fitting"
+        return "complete, you can stop: fitting"
     if rate > TOO_FAST:
         return "slower, please"
     if 0.0 < rate < TOO_SLOW and progress["arc_deg"] > 10.0:

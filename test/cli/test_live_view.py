@@ -28,7 +28,7 @@ PROGRESS = {
         ({"turn_rate_deg_s": -60.0}, "slower"),
         ({"turn_rate_deg_s": 3.0}, "faster"),
         ({"turn_rate_deg_s": 0.0}, "turn left"),
-        ({"stage": "complete"}, "fitting"),
+        ({"stage": "complete"}, "you can stop"),
     ],
 )
 def test_the_advice_is_for_the_present_state(change, words):

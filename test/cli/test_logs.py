@@ -3,15 +3,16 @@
 import io
 import json
 import math
+import re
 import time
 
 import numpy as np
 import pytest
-from drives import drive
+from drives import drive, write_csv
 from log_writers import FRD, GAUSS, logged, write_bin, write_sensor_logger, write_ulog
 from long_form import first_of
 
-from magcal_ros.cli import recorded
+from magcal_ros.cli import fit, recorded
 from magcal_ros.cli.main import main
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample
@@ -251,3 +252,16 @@ class TestASlowImu:
         main(["doctor", str(write_sensor_logger(tmp_path / "phone", slow)), "--json"])
         found = {each["key"]: each for each in json.loads(capsys.readouterr().out)["findings"]}
         assert "10 Hz or more" in found["slow"]["remedy"]
+
+
+def test_a_long_report_is_announced_with_the_result_of_the_fit(monkeypatch, tmp_path, capsys):
+    """The report takes longer than the fit: minutes for a recording of an hour and a half."""
+    monkeypatch.setattr(recorded, "LINE_EVERY", 0.05)
+
+    def slow_report(folder, subject):
+        time.sleep(0.5)
+        return folder / "report.html"
+
+    monkeypatch.setattr(fit, "write_report", slow_report)
+    fitted(write_csv(tmp_path / "turn", SAMPLES), tmp_path)
+    assert re.search("quality [a-z]+; writing the report: ", capsys.readouterr().err)

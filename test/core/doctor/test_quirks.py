@@ -201,6 +201,19 @@ def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     assert any("NED" in line for line in lines)
 
 
+@pytest.mark.parametrize("seed", first_of([5, *range(5), *range(6, 20)], 2))
+def test_a_field_that_points_up_is_named_where_the_reference_is_uncertain(seed):
+    """What the reference is off by looked as if the movement contradicted the other sign."""
+    rng = np.random.default_rng(seed)
+    robot = Robot(inclination=-1.14, noise_field=4e-7, noise_force=0.05, roll=0.0, pitch=0.0)
+    sway = smooth_wobble(rng, SAMPLES, SECONDS, math.radians(0.2))
+    motion = driven(evenly, 2.0 * math.pi, (0.0, 0.0, 0.0), sway)
+    strength = Belief(1.2 * robot.strength, 0.1 * robot.strength)
+    knowledge = Knowledge(ReferenceField(strength=strength, inclination=Belief(1.15, 0.02)))
+    report = examine_window(measure(robot, motion, rng, gyro=True), knowledge)
+    assert any("NED" in finding.remedy for finding in report.findings)
+
+
 @pytest.mark.parametrize("seed", first_of(range(20), 3))
 def test_a_field_that_points_up_on_a_swaying_robot_is_no_single_reversed_axis(seed):
     """All three axes seemed reversed, and the remedy blamed the driver's x."""
