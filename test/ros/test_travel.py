@@ -130,7 +130,7 @@ class Car:
 @pytest.fixture
 def drive():
     rng = np.random.default_rng(4)
-    return simulated_drive(travel(city(rng, 70.0), rng, rate=15.0), rng, VEHICLE)
+    return simulated_drive(travel(city(rng, 70.0), rng, rate=25.0), rng, VEHICLE)
 
 
 @pytest.fixture
