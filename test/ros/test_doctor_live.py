@@ -21,8 +21,7 @@ from support import PATIENCE, ROBOT, wait_until
 from magcal_ros.cli import doctor
 from magcal_ros.cli.doctor import GuidePrompts, gathered
 from magcal_ros.core import Mounting
-from magcal_ros.core.doctor import Guide
-from magcal_ros.core.doctor.guide import GuideStep
+from magcal_ros.core.doctor import Guide, GuideStep
 from magcal_ros.core.samples import ImuSample, SensorLog
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros.preflight import Listener
