@@ -297,7 +297,7 @@ def listen(options: argparse.Namespace) -> DoctorInput:
                 now = time.monotonic()
                 asking.count_down(guide, now)
                 if asking.is_skipped() and guide.skip(now):
-                    asking.tick(guide)
+                    asking.tick(guide, missed="skipped")
                 if guide.pass_time(now):
                     asking.tick(guide)
                 silent = [each.topic for each in listener.sensors if not each.messages]
@@ -347,12 +347,12 @@ class GuidePrompts:
         self._keys = bool(sys.stdin.readline())
         return self._keys
 
-    def tick(self, guide: Guide) -> None:
-        """Print whether the last step was detected."""
+    def tick(self, guide: Guide, missed: str = "not detected") -> None:
+        """Print whether the last step was detected, and if not, why it ended."""
         last, detected = list(guide.ended.items())[-1]
         over = "\r\033[K" if self._rewrites else ""
-        missed = "" if detected else ": not detected"
-        say(f"{over}  [{'x' if detected else '-'}] {ASKED[last]}{missed}")
+        mark, ending = ("x", "") if detected else ("-", f": {missed}")
+        say(f"{over}  [{mark}] {ASKED[last]}{ending}")
         self._shown = ""
 
 

@@ -21,7 +21,7 @@ from support import PATIENCE, ROBOT, wait_until
 from magcal_ros.cli import doctor
 from magcal_ros.cli.doctor import GuidePrompts, gathered
 from magcal_ros.core import Mounting
-from magcal_ros.core.doctor import Guide
+from magcal_ros.core.doctor import Guide, GuideStep
 from magcal_ros.core.samples import ImuSample, SensorLog
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros.preflight import Listener
@@ -187,3 +187,11 @@ def test_the_remaining_seconds_are_shown_on_a_terminal(monkeypatch, capsys):
     asking.count_down(guide, 5.0)
     said = capsys.readouterr().err
     assert said.count("45 s left") == said.count("40 s left") == 1
+
+
+def test_a_skipped_step_is_called_skipped(capsys):
+    guide = Guide(0.0)
+    guide.ended[GuideStep.STAND] = True
+    assert guide.skip(1.0)
+    GuidePrompts().tick(guide, missed="skipped")
+    assert capsys.readouterr().err.endswith("and stop: skipped\n")

@@ -10,7 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypotheses
-from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
+from magcal_ros.core.doctor.health import (
+    Finding,
+    ok_or_warning,
+    severe_finding,
+    undetermined,
+    vector_in_words,
+)
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
@@ -57,7 +63,7 @@ def check_gravity_direction(
     if np.linalg.norm(usual) < LEAST_UPRIGHT:
         return undetermined("gravity_sign", name, STAND), False
     usual = usual / np.linalg.norm(usual)
-    evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
+    evidence = f"up is {vector_in_words(usual)}"
     if usual[2] > LEAST_UPRIGHT:
         return ok_or_warning("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:

@@ -103,6 +103,11 @@ TURN_ON_THE_SPOT = (
 )
 
 
+def vector_in_words(vector: FloatArray) -> str:
+    """Return the three numbers with two digits, in brackets, without a negative zero."""
+    return f"({', '.join(f'{round(float(value), 2) + 0.0:.2f}' for value in vector)})"
+
+
 def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
     """Return a finding if more than a few samples (n,) are not finite."""
     share = 1.0 - float(are_numbers.mean())
@@ -223,9 +228,8 @@ def gravity_size_finding(force: FloatArray, size: float) -> Finding:
     hint = ""
     if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
-    x, y, z = np.median(force, axis=0)
     off = size / STANDARD_GRAVITY - 1.0
-    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, "
+    evidence = f"{vector_in_words(np.median(force, axis=0))} m/s², {size:.2f} in all, "
     evidence += f"{round(off, 3) + 0.0:+.1%} off gravity"
     return ok_or_warning("force_unit", "accelerometer: unit", evidence, hint)
 

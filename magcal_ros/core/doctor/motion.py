@@ -27,6 +27,7 @@ from magcal_ros.core.doctor.health import (
     ok_or_warning,
     severe_finding,
     undetermined,
+    vector_in_words,
 )
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
@@ -243,8 +244,7 @@ def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Findin
 
 
 def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
-    words = ", ".join(f"{math.degrees(value):.2f}" for value in bias)
-    evidence = f"({words}) ± {math.degrees(off):.2f} °/s"
+    evidence = f"{vector_in_words(np.degrees(bias))} ± {math.degrees(off):.2f} °/s"
     as_published = ", ".join(f"{value / factor:.4g}" for value in bias)
     remedy = (
         "let the driver measure the gyro's bias while the robot stands, or subtract "

@@ -15,6 +15,7 @@ from magcal_ros.core.doctor import (
     stamps_finding,
     stuck_axes,
 )
+from magcal_ros.core.doctor.health import vector_in_words
 from magcal_ros.core.samples import SensorLog
 from magcal_ros.core.simulation import Robot
 
@@ -182,3 +183,7 @@ def test_a_slow_field_has_no_spikes(field, force):
     time = 0.1 * np.arange(COUNT)
     log = SensorLog(time, force, 0.0 * force, time, field[::-1])
     assert "spikes" not in {f.key for f in noise_findings(log, 1.0)}
+
+
+def test_a_vector_has_no_negative_zero():
+    assert vector_in_words(np.array([0.004, -0.004, -9.81])) == "(0.00, 0.00, -9.81)"
