@@ -17,7 +17,7 @@ from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
-from magcal_ros.core.smoother.priors import priors_of
+from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -127,9 +127,16 @@ class _MotionFits:
         return spot if spot is not None and gyro_is_usual(spot) else None
 
     def add(
-        self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()
+        self,
+        name: str,
+        like: Fit | None = None,
+        tolerances: Tolerances = Tolerances(),
+        priors: Priors | None = None,
     ) -> None:
-        """Fit one kind of motion, and keep the fit if it is the most likely one of its kind."""
+        """Fit one kind of motion, and keep the fit if it is the most likely one of its kind.
+
+        `priors` are those of this kind alone, if they differ from those of the others.
+        """
         done, self._started = self._started, self._started + 1
 
         def report(rounds: int) -> None:
@@ -138,7 +145,8 @@ class _MotionFits:
                 share = rounds / (rounds + 0.5 * ROUGH.rounds)
                 self._progress(min((done + share) / MOST_FITS, 1.0))
 
-        start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
+        priors = self._priors if priors is None else priors
+        start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         # A drive has no rival: its evidence still improves when its places are computed.
         spot, rival = self.fits.get(ON_THE_SPOT), math.inf
         if spot is not None and name != ON_THE_SPOT:
@@ -184,10 +192,8 @@ class _MotionFits:
 
     def something_passes(self) -> None:
         """Fit a turn on the spot of exact sensors again, with something magnetic that passes."""
-        priors = self._priors
-        self._priors = priors.with_something_passing
-        self.add(PASSED, without_distortion(self.fits[ON_THE_SPOT]))
-        self._priors = priors
+        like = without_distortion(self.fits[ON_THE_SPOT])
+        self.add(PASSED, like, priors=self._priors.with_something_passing)
 
     def parts_moved(self, usual: Fit) -> Fit:
         """Return the likelier fit of a turn on the spot, with or without parts that are moved.
@@ -195,19 +201,19 @@ class _MotionFits:
         Without moved parts, soft iron and installation absorb a lasting step of the field: they
         start at their means here. The likelier explanation is used for other kinds of motion, too.
         """
-        priors = self._priors
-        self._priors = priors.with_parts_moved
+        priors = self._priors.with_parts_moved
         point, shared = usual.point, usual.state.shared.copy()
         for name in CONFOUNDED:
             shared[AT[name]] = priors.mean[AT[name]]
         state = replace(usual.state, shared=shared)
         groups = {**point.groups, **dict.fromkeys(CONFOUNDED, 1.0)}
-        self.add(MOVED, replace(usual, point=replace(point, state=state, groups=groups)))
+        like = replace(usual, point=replace(point, state=state, groups=groups))
+        self.add(MOVED, like, priors=priors)
         moved = self.fits.get(MOVED, usual)
-        if moved.evidence < self._equal_weight(MOVED, usual):
-            return moved
+        if moved.evidence >= self._equal_weight(MOVED, usual):
+            return usual
         self._priors = priors
-        return usual
+        return moved
 
     def drives(self) -> None:
         """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
