@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     currents: Clock Currents
     drives: corrected drive_nodes fit_drive fit_iron likelihood_ratio_of
     earth: EarthFieldPrior GaussianEarthPrior
-    factors: Linear
+    factors: Residuals
     fit: Damping Fit
     gyro_swing: gyro_compass_swing
     headings: fit_headings

@@ -64,7 +64,7 @@ LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)  # components of a residual in bo
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class Residuals:
     """Residuals of one kind with their derivatives."""
 
     residual: FloatArray  # Shape (k, d)
@@ -75,18 +75,18 @@ class Linear:
     """By the shared unknowns; the last columns, of the centres of `Places`, may be missing. Shape
     (k, d, s)."""
 
-    def part(self, components: slice) -> Linear:
+    def part(self, components: slice) -> Residuals:
         """Return some components of the residuals."""
         rest = (
             None if each is None else each[:, components] for each in (self.by_next, self.shared)
         )
-        return Linear(self.residual[:, components], self.by_node[:, components], *rest)
+        return Residuals(self.residual[:, components], self.by_node[:, components], *rest)
 
-    def times(self, matrices: FloatArray) -> Linear:
+    def times(self, matrices: FloatArray) -> Residuals:
         """Return the residuals, each multiplied by its matrix, shape (k, d, d)."""
         rest = (None if each is None else matrices @ each for each in (self.by_next, self.shared))
         residual = np.einsum("kij,kj->ki", matrices, self.residual)
-        return Linear(residual, matrices @ self.by_node, *rest)
+        return Residuals(residual, matrices @ self.by_node, *rest)
 
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without missing columns."""
@@ -149,7 +149,7 @@ def motor_inputs(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
     return found
 
 
-def magnetic(course: Course, state: State, places: Places) -> Linear:
+def magnetic(course: Course, state: State, places: Places) -> Residuals:
     """Return the residuals of the field at the nodes, µT (doc/smoother.md, the model)."""
     nodes, shared = course.nodes, state.shared
     angle, rate = nodes.turned_since(shared[AT["latency"]][0])
@@ -205,7 +205,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, AT["latency"].start] = np.einsum(
         "nij,nj->ni", by_earth, crossed(rate, earth)
     ) + np.einsum("nij,nj->ni", by_street, crossed(rate, street))
-    return Linear(nodes.field - predicted, by_node, None, by)
+    return Residuals(nodes.field - predicted, by_node, None, by)
 
 
 def _about_x(shared: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ def _about_x(shared: FloatArray) -> FloatArray:
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # A quarter turn to the left in the level plane
 
 
-def force(course: Course, state: State) -> Linear:
+def force(course: Course, state: State) -> Residuals:
     """Return the residuals of the specific force between nodes, m/s².
 
     A vehicle's velocity stays level while its body sways: its acceleration is computed in level
@@ -257,20 +257,20 @@ def force(course: Course, state: State) -> Linear:
     by[:, :, AT["gyro_bias"]] = (
         skews(crossed(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
     )
-    return Linear(nodes.force - predicted, by_node, by_next, by)
+    return Residuals(nodes.force - predicted, by_node, by_next, by)
 
 
-def force_at_rest(measured: FloatArray, state: State) -> Linear:
+def force_at_rest(measured: FloatArray, state: State) -> Residuals:
     """Return the residuals of the specific force at nodes at rest, (n, 3) in m/s²."""
     gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
     by_node = np.zeros((len(measured), 3, LOCAL))
     by_node[:, :, ATTITUDE] = -skews(gravity)
     by = np.zeros((len(measured), 3, SHARED))
     by[:, :, AT["force_offset"]] = np.eye(3)
-    return Linear(measured - gravity - state.shared[AT["force_offset"]], by_node, None, by)
+    return Residuals(measured - gravity - state.shared[AT["force_offset"]], by_node, None, by)
 
 
-def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Linear:
+def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Residuals:
     """Return the residuals of known headings at the nodes, radians.
 
     `heading` (n,) is the ENU yaw to magnetic north, radians, and `forward` (n, 3) its direction in
@@ -280,12 +280,12 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Lin
     by_node = np.zeros((len(heading), 1, LOCAL))
     by_node[:, 0, ATTITUDE] = by_attitude
     by_node[:, :, HEADING_DRIFT] = DEGREE
-    return Linear(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), by_node)
+    return Residuals(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), by_node)
 
 
 def known_turn(
     turned: FloatArray, seconds: FloatArray, forward: FloatArray, state: State
-) -> Linear:
+) -> Residuals:
     """Return the residuals of turns between nodes by the gyro, (n - 1,) radians to the left.
 
     `seconds` (n - 1,) are the durations over which the gyro's bias was integrated.
@@ -297,7 +297,7 @@ def known_turn(
     by[:, 0, BIAS_UP] = seconds
     # `ahead` is minus the heading.
     off = turned - seconds * state.shared[BIAS_UP] + ahead[1:] - ahead[:-1]
-    return Linear(wrap_angle(off)[:, None], by_node, by_next, by)
+    return Residuals(wrap_angle(off)[:, None], by_node, by_next, by)
 
 
 def _heading_residual(
@@ -310,7 +310,7 @@ def _heading_residual(
     return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
 
 
-def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Linear:
+def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Residuals:
     """Return the residuals of the wheels' speed, (n,) in m/s.
 
     The speed is along the body's x axis if `is_ahead`, else in any direction.
@@ -323,10 +323,10 @@ def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Linear:
     else:
         known, modelled = np.abs(measured), np.linalg.norm(velocity, axis=1)
         by_node[:, 0, VELOCITY] = velocity / np.maximum(modelled, 1e-9)[:, None]
-    return Linear(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], by_node)
+    return Residuals(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], by_node)
 
 
-def gyro(course: Course, state: State) -> Linear:
+def gyro(course: Course, state: State) -> Residuals:
     """Return the residuals of the gyro's rotation between nodes, radians."""
     nodes, shared = course.nodes, state.shared
     error = gyro_error(nodes, shared)
@@ -342,10 +342,10 @@ def gyro(course: Course, state: State) -> Linear:
     for row in range(3):
         columns = AT["gyro_matrix"].start + 3 * row
         by[:, row, columns : columns + 3] = -nodes.angle
-    return Linear(-off, by_node, by_next, by)
+    return Residuals(-off, by_node, by_next, by)
 
 
-def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int, int]) -> Linear:
+def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int, int]) -> Residuals:
     """Return the residuals of a process of second order, x[k + 1] = F x[k] + noise.
 
     `row` is the index of the unknown at the nodes. `correlation` (2, n - 1) are the coefficients F
@@ -358,10 +358,10 @@ def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int,
         residual = residual + share * values[:-1, column]
         by_node[:, 0, column] = -share
     by_next[:, 0, row] = 1.0
-    return Linear(residual[:, None], by_node, by_next)
+    return Residuals(residual[:, None], by_node, by_next)
 
 
-def process(state: State, which: slice, correlation: FloatArray) -> Linear:
+def process(state: State, which: slice, correlation: FloatArray) -> Residuals:
     """Return the residuals of a Gauss-Markov process, x[k + 1] = keeps[k] x[k] + noise."""
     values = state.local[:, which]
     residual = correlation[:, None] * values[:-1] - values[1:]
@@ -369,10 +369,10 @@ def process(state: State, which: slice, correlation: FloatArray) -> Linear:
     by_node, by_next = (np.zeros((len(correlation), width, LOCAL)) for _ in range(2))
     by_node[:, :, which] = -correlation[:, None, None] * np.eye(width)
     by_next[:, :, which] = np.eye(width)
-    return Linear(residual, by_node, by_next)
+    return Residuals(residual, by_node, by_next)
 
 
-def heading_drift(state: State, correlation: FloatArray, seconds: FloatArray) -> Linear:
+def heading_drift(state: State, correlation: FloatArray, seconds: FloatArray) -> Residuals:
     """Return the residuals of a heading drift: a Gauss-Markov process, plus a constant rate."""
     drift = process(state, HEADING_DRIFT, correlation)
     drift.by_node[:, :, HEADING_RATE] = -seconds[:, None, None]

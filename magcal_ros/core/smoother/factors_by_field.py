@@ -7,7 +7,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_vectors, skew, skews
-from magcal_ros.core.smoother.factors import QUARTER, Linear
+from magcal_ros.core.smoother.factors import QUARTER, Residuals
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -20,7 +20,7 @@ from magcal_ros.core.smoother.unknowns import (
 )
 
 
-def force_at_nodes(course: Course, state: State) -> Linear:
+def force_at_nodes(course: Course, state: State) -> Residuals:
     """Return the residuals of the specific force at the nodes of a turn without a gyro.
 
     The force is averaged over the same samples as the field, so that tilting within a node causes
@@ -60,10 +60,10 @@ def force_at_nodes(course: Course, state: State) -> Linear:
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, :, AT["force_offset"]] = np.eye(3)
     by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
-    return Linear(nodes.mean_force[:-1] - predicted, by_node, by_next, by)
+    return Residuals(nodes.mean_force[:-1] - predicted, by_node, by_next, by)
 
 
-def sway(course: Course, state: State) -> Linear:
+def sway(course: Course, state: State) -> Residuals:
     """Return the residuals of the accelerometer's velocity due to the sway of the body, m/s.
 
     An accelerometer off the pivot moves with every change of tilt: sideways if it is above the
@@ -94,10 +94,10 @@ def sway(course: Course, state: State) -> Linear:
     by[:, 2, AT["sway_arm"]] = -rises @ course.axes
     by[:, 2, AT["upright"]] = -arm @ (attitude[1:] - attitude[:-1]) @ by_upright / seconds
     moved = np.column_stack([height * rate @ across.T, rises @ arm])
-    return Linear(moved - state.local[1:, moves], by_node, by_next, by)
+    return Residuals(moved - state.local[1:, moves], by_node, by_next, by)
 
 
-def turning(course: Course, state: State, axes: FloatArray) -> Linear:
+def turning(course: Course, state: State, axes: FloatArray) -> Residuals:
     """Return the residuals of steady rotation about the turn's axis, (n - 1, 1) radians.
 
     The last column of `axes` is near the turn's axis.
@@ -113,10 +113,10 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     by_node[:, :, RATE] = seconds[:, :, None]
     by = np.zeros((count, 1, SHARED))
     by[:, 0, AT["axis"]] = off @ by_axis
-    return Linear(-off @ axis[:, None], by_node, by_next, by)
+    return Residuals(-off @ axis[:, None], by_node, by_next, by)
 
 
-def lean(state: State, axes: FloatArray, correlation: FloatArray) -> Linear:
+def lean(state: State, axes: FloatArray, correlation: FloatArray) -> Residuals:
     """Return the residuals of a Gauss-Markov process of the axis' tilt, (n - 1, 2) radians.
 
     The body turns about an axis fixed in the body and in the world, and sways about this axis.
@@ -135,7 +135,7 @@ def lean(state: State, axes: FloatArray, correlation: FloatArray) -> Linear:
     by_node[:, :, ATTITUDE] = -kept * by_attitude[:-1]
     by_next[:, :, ATTITUDE] = by_attitude[1:]
     residual = correlation[:, None] * leans[:-1] - leans[1:]
-    return Linear(residual, by_node, by_next, by[1:] - kept * by[:-1])
+    return Residuals(residual, by_node, by_next, by[1:] - kept * by[:-1])
 
 
 def _tilted(axes: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:

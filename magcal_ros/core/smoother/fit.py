@@ -20,7 +20,7 @@ from magcal_ros.core.smoother.sizes import (
     noise_sizes,
     whole_field_factors,
 )
-from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinant
+from magcal_ros.core.smoother.solver import Solution, WeightedResiduals, log_determinant
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, KindOfMotion
 
@@ -58,7 +58,7 @@ class Fit:
     point: Point
     covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
     evidence: float  # minus twice the logarithm of the evidence, up to a constant of the window
-    weighted: dict[str, Weighted]  # the residuals at the optimum
+    weighted: dict[str, WeightedResiduals]  # the residuals at the optimum
     rounds: int
     converged: bool
     moved: float  # last step of the answer, in its own sigmas
@@ -247,7 +247,9 @@ def _with_mixture(
     return replace(joint, solutions=found), gain
 
 
-def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution) -> Point:
+def _robust(
+    model: Model, point: Point, weighted: dict[str, WeightedResiduals], solution: Solution
+) -> Point:
     """Return the point with Student residuals; without a gyro all tilts are marginalised."""
     point = replace(point, is_robust=True)
     if model.nodes.tied_to is None:
@@ -260,7 +262,7 @@ def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution:
 
 
 def marginal_gradient(
-    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
+    model: Model, point: Point, weighted: dict[str, WeightedResiduals], solution: Solution
 ) -> FloatArray:
     """Return the gradient of the log determinant of the nodes' information matrix.
 

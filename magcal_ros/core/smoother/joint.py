@@ -22,7 +22,7 @@ from magcal_ros.core.smoother.model import (
     prior_at,
     solve_at,
 )
-from magcal_ros.core.smoother.solver import Solution, Weighted, inverse_and_log_determinant
+from magcal_ros.core.smoother.solver import Solution, WeightedResiduals, inverse_and_log_determinant
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
@@ -116,7 +116,7 @@ def with_factors(
 class Joint:
     """A Gauss-Newton step of all windows, or their covariance."""
 
-    weighted: list[dict[str, Weighted]]
+    weighted: list[dict[str, WeightedResiduals]]
     solutions: list[Solution]  # of each window, with the information of all on the shared unknowns
     log_determinant: float
 
@@ -185,7 +185,7 @@ def prior_of_common(models: Sequence[Model], points: Sequence[Point]) -> FloatAr
     return out
 
 
-def _cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> float:
+def _cost_of_nodes(model: Model, point: Point, weighted: dict[str, WeightedResiduals]) -> float:
     """Return minus twice the log of likelihood and priors, except those of shared unknowns."""
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values())

@@ -23,7 +23,7 @@ from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors, priors_of
-from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
+from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, solve
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -172,19 +172,19 @@ class KnownHeadingModel:
             state,
         )
 
-    def field_of(self, state: State) -> factors.Linear:
+    def field_of(self, state: State) -> factors.Residuals:
         """Return the residuals of the field at a state."""
         return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
 
-    def residuals(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
+    def residuals(self, state: State, size: float, drift: Drift) -> dict[str, WeightedResiduals]:
         """Return all residuals with their variances.
 
         `size` is the size of the local disturbance, `drift` the drift of the headings.
         """
         ones = np.ones(len(self.heading))
 
-        def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
-            return Weighted(linear, variance, GAUSSIAN)
+        def known(linear: factors.Residuals, variance: FloatArray) -> WeightedResiduals:
+            return WeightedResiduals(linear, variance, GAUSSIAN)
 
         found = {
             "field": known(self.field_of(state), rms_size(SIZES["field"]) ** 2 * ones),
@@ -249,14 +249,14 @@ class KnownHeadingModel:
         cost += 2.0 * math.log(drift.rate)
         return KnownHeadingOptimum(state, whole, cost, misfit)
 
-    def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
+    def _misfit(self, weighted: dict[str, WeightedResiduals], prior: Prior) -> float:
         """Return the sum of squared normalised residuals; the hard iron adds almost nothing."""
         square = sum(float(part.chi2.sum()) for part in weighted.values())
         square += float(np.sum(prior.local_information * prior.local_offset**2))
         return square + float(prior.offset @ prior.information @ prior.offset)
 
     def _by_common_errors(
-        self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
+        self, weighted: dict[str, WeightedResiduals], prior: Prior, solution: Solution
     ) -> FloatArray:
         """Return the covariance by errors common to all headings: declination, antenna mounting."""
         if not self.common.any():
@@ -275,7 +275,7 @@ def _log_steps(correlation: FloatArray, size: float, width: int) -> float:
     return width * (2.0 * math.log(size) + float(steps))
 
 
-def _with_residual(part: Weighted, residual: FloatArray | float) -> Weighted:
+def _with_residual(part: WeightedResiduals, residual: FloatArray | float) -> WeightedResiduals:
     changed = np.zeros_like(part.linear.residual) + residual
     return replace(part, linear=replace(part.linear, residual=changed))
 

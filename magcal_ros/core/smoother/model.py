@@ -12,11 +12,11 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.earth import GaussianEarthPrior
-from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
+from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Residuals
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
-from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
+from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, solve
 from magcal_ros.core.smoother.state import Course, State, damped, level_axes
 from magcal_ros.core.smoother.unknown_current import with_unknown_current
 from magcal_ros.core.smoother.unknowns import (
@@ -200,35 +200,35 @@ def _measured(
     model: Model,
     point: Point,
     name: str,
-    linear: Linear,
+    linear: Residuals,
     scale: FloatArray,
     more: FloatArray | float = 0.0,
-) -> Weighted:
+) -> WeightedResiduals:
     """Weight residuals of one noise by the inverse of the variance size² `scale` + `more`.
 
     An infinite scale (k,) leaves a residual out.
     """
-    variance = point.sizes[name] ** 2 * scale + more
-    return Weighted(linear, variance, point.freedom(model, name), {name: np.isfinite(scale)})
+    variance, freedom = point.sizes[name] ** 2 * scale + more, point.freedom(model, name)
+    return WeightedResiduals(linear, variance, freedom, {name: np.isfinite(scale)})
 
 
 def _changing(
     model: Model,
     point: Point,
     names: tuple[str, str],
-    linear: Linear,
+    linear: Residuals,
     scale: FloatArray,
     at_rest: BoolArray,
-) -> Weighted:
+) -> WeightedResiduals:
     """Weigh the residuals (k,) of a process that has one size at rest and another otherwise."""
     rest, other = names
     size = np.where(at_rest, point.sizes[rest], point.sizes[other])
     freedom = np.where(at_rest, point.freedom(model, rest), point.freedom(model, other))
     variance = size**2 * scale + LEAST_VARIANCE
-    return Weighted(linear, variance, freedom, {rest: at_rest, other: ~at_rest})
+    return WeightedResiduals(linear, variance, freedom, {rest: at_rest, other: ~at_rest})
 
 
-def weigh(model: Model, point: Point) -> dict[str, Weighted]:
+def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     """Return all residuals with their variances."""
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, places = nodes.seconds, point.places
@@ -285,7 +285,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     }
 
 
-def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
+def _motion(model: Model, point: Point, axis: int) -> dict[str, WeightedResiduals]:
     """Return the prior residuals of velocity and acceleration along one level axis.
 
     The velocity v and its change a follow dv/dt = a, da/dt = -d a - (A / V)^2 v + noise. V and A
@@ -306,13 +306,13 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
         by = VELOCITY.start + axis, ACCELERATION.start + axis
         linear = factors.second_order(point.state, column.start + axis, correlation, by)
         sized = {kind: np.ones(len(seconds), dtype=bool)} if kind == name else {}
-        found[kind] = Weighted(
+        found[kind] = WeightedResiduals(
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name), sized
         )
     return found
 
 
-def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
+def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     """Return the residuals of force, steady turning and sway of a turn without a gyro."""
     nodes, course, state = model.nodes, point.course, point.state
     assert nodes.tied_to is not None
@@ -388,7 +388,7 @@ def counted_unknowns(model: Model, places: Places) -> IntArray:
 
 def solve_at(
     model: Model, point: Point, *, is_expected: bool = False
-) -> tuple[dict[str, Weighted], Solution]:
+) -> tuple[dict[str, WeightedResiduals], Solution]:
     """Return the residuals at a point, and the step or the covariance there.
 
     Raises `numpy.linalg.LinAlgError` if the matrix is not positive definite.

@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoother.factors import motor_inputs
 from magcal_ros.core.smoother.model import Model, Point
-from magcal_ros.core.smoother.solver import Solution, Stack, Weighted
+from magcal_ros.core.smoother.solver import Solution, StackedResiduals, WeightedResiduals
 from magcal_ros.core.smoother.unknowns import AT, LOCAL, UNKNOWNS, VELOCITY, Size
 
 SMALLEST = 4.0
@@ -84,7 +84,9 @@ class _Spread:
         beside -= cross[:-1] @ np.swapaxes(follow[1:], 1, 2)
         return cls(own, beside, cross, solution.covariance)
 
-    def of_predictions(self, stacks: list[Stack]) -> Iterator[tuple[Weighted, FloatArray]]:
+    def of_predictions(
+        self, stacks: list[StackedResiduals]
+    ) -> Iterator[tuple[WeightedResiduals, FloatArray]]:
         """Return the residuals with the sum of the variances of their components, shape (k,)."""
         for stack in stacks:
             by_local, count = stack.rows[:, :, : stack.reached], len(stack.rows)

@@ -14,15 +14,15 @@ import numpy as np
 from scipy.special import gammaln
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.factors import Residuals
 from magcal_ros.core.smoother.unknowns import LOCAL
 
 
 @dataclass(frozen=True, eq=False)
-class Weighted:
+class WeightedResiduals:
     """Residuals with their variance and Student weights."""
 
-    linear: Linear
+    linear: Residuals
     variance: FloatArray  # per component; infinite where there was no measurement. Shape (k,).
     freedom: float | FloatArray  # degrees of freedom of the Student distribution, one or (k,)
     sized: Mapping[str, BoolArray] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class Weighted:
         return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
 
     @property
-    def imagined(self) -> Weighted:
+    def imagined(self) -> WeightedResiduals:
         """The same for samples not yet measured: zero residuals, and the expected curvature."""
         linear = replace(self.linear, residual=np.zeros_like(self.linear.residual))
         reach = self.freedom + linear.residual.shape[1]
@@ -93,8 +93,8 @@ class Solution:
     """Of the shared unknowns, with the nodes' unknowns marginalised. Shape (s, s)."""
     gradient: FloatArray  # `information @ shared`. Shape (s,).
     log_determinant: float  # of the information matrix of all unknowns
-    chain: Chain  # the information matrix of the nodes' unknowns
-    stacks: list[Stack]  # the residuals
+    chain: BlockTridiagonal  # the information matrix of the nodes' unknowns
+    stacks: list[StackedResiduals]  # the residuals
 
     def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
         """Return the step with further information on the shared unknowns."""
@@ -113,14 +113,14 @@ class Prior:
     offset: FloatArray  # their prior mean minus their value. Shape (s,).
 
 
-def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
+def solve(weighted: list[WeightedResiduals], prior: Prior, free: IntArray) -> Solution:
     """Return a Gauss-Newton step.
 
     `free` (s,) are the indices of the free shared unknowns. Raises `numpy.linalg.LinAlgError` if
     the matrix is not positive definite.
     """
     nodes, count = len(prior.local_information), len(free)
-    stacks = Stack.of(weighted, free)
+    stacks = StackedResiduals.of(weighted, free)
     information = prior.information.copy()
     gradient = prior.information @ prior.offset
     for stack in stacks:
@@ -129,7 +129,7 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
         information[:known, :known] += square[1:, 1:]
         gradient[:known] += square[1:, 0]
     diagonal, upper, right = _of_nodes(stacks, prior, count)
-    chain = block_chain(diagonal, upper)
+    chain = block_tridiagonal(diagonal, upper)
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
     schur = information - cross.T @ solved[:, 1:]
@@ -143,17 +143,18 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     return Solution(local, step, covariance, follow, schur, gradient, both, chain, stacks)
 
 
-def log_determinant(weighted: list[Weighted], prior: Prior) -> float:
+def log_determinant(weighted: list[WeightedResiduals], prior: Prior) -> float:
     """Return the log determinant of the information matrix of the nodes' unknowns."""
-    stacks = Stack.of(weighted, np.zeros(0, dtype=np.intp))
-    return block_chain(*_of_nodes(stacks, prior, 0)[:2]).log_determinant
+    stacks = StackedResiduals.of(weighted, np.zeros(0, dtype=np.intp))
+    return block_tridiagonal(*_of_nodes(stacks, prior, 0)[:2]).log_determinant
 
 
 @dataclass(frozen=True, eq=False)
-class Stack:
+class StackedResiduals:
     """Residuals that depend on the same unknowns, side by side."""
 
-    columns: list[tuple[Weighted, slice]]  # each kind of residual, and its components among `rows`
+    columns: list[tuple[WeightedResiduals, slice]]
+    """Each kind of residual, and its components among `rows`."""
     rows: FloatArray
     """Derivatives by the nodes' unknowns, residual, and derivatives by the shared unknowns. Shape
     (k, d, reached + 1 + s)."""
@@ -161,9 +162,9 @@ class Stack:
     reached: int  # the number of unknowns of one node or of two neighbours
 
     @classmethod
-    def of(cls, weighted: list[Weighted], free: IntArray) -> list[Stack]:
+    def of(cls, weighted: list[WeightedResiduals], free: IntArray) -> list[StackedResiduals]:
         """Return the stacks: of nodes and of links, with and without shared unknowns."""
-        alike: dict[tuple[int, bool, bool], list[Weighted]] = {}
+        alike: dict[tuple[int, bool, bool], list[WeightedResiduals]] = {}
         for part in weighted:
             linear = part.linear
             key = len(linear.by_node), linear.by_next is None, linear.shared is None
@@ -171,7 +172,7 @@ class Stack:
         return [cls._of_alike(parts, free) for parts in alike.values()]
 
     @classmethod
-    def _of_alike(cls, parts: list[Weighted], free: IntArray) -> Stack:
+    def _of_alike(cls, parts: list[WeightedResiduals], free: IntArray) -> StackedResiduals:
         first = parts[0].linear
         reached = LOCAL if first.by_next is None else 2 * LOCAL
         count = 0 if first.shared is None else len(free)
@@ -202,7 +203,7 @@ class Stack:
 
 
 def _of_nodes(
-    stacks: list[Stack], prior: Prior, count: int
+    stacks: list[StackedResiduals], prior: Prior, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the nodes' diagonal and upper blocks, and gradient with blocks of shared unknowns."""
     nodes = len(prior.local_information)
@@ -233,7 +234,7 @@ def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, fl
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class BlockTridiagonal:
     """A block tridiagonal matrix, factorised by cyclic reduction (Hockney, J. ACM 12, 1965).
 
     Every second node is eliminated at once, then every second of the remaining nodes, and so on.
@@ -245,7 +246,7 @@ class Chain:
     """`inverse` times the block of these nodes, except the first, with the node before."""
     after: FloatArray
     """`inverse` times the block of these nodes with the node after, if there is one."""
-    rest: Chain | None  # the other nodes
+    rest: BlockTridiagonal | None  # the other nodes
     log_determinant: float
 
     def solve(self, right: FloatArray) -> FloatArray:
@@ -284,14 +285,14 @@ class Chain:
         return own, beside
 
 
-def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
+def block_tridiagonal(diagonal: FloatArray, upper: FloatArray) -> BlockTridiagonal:
     """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k)."""
     pivot = diagonal[::2]
     inverse = np.asarray(np.linalg.inv(pivot), dtype=np.float64)
     factor = np.linalg.cholesky(pivot)
     determinant = float(2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
     if len(diagonal) == 1:
-        return Chain(inverse, upper, upper, None, determinant)
+        return BlockTridiagonal(inverse, upper, upper, None, determinant)
     # Blocks of the eliminated nodes with the node after, and of the node before with them.
     later, earlier = upper[::2], upper[1::2]
     after = inverse[: len(later)] @ later
@@ -299,5 +300,5 @@ def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
     left = diagonal[1::2] - np.swapaxes(later, 1, 2) @ after
     left[: len(earlier)] -= earlier @ before
     inner = len(left) - 1
-    rest = block_chain(left, -earlier[:inner] @ after[1 : inner + 1])
-    return Chain(inverse, before, after, rest, determinant + rest.log_determinant)
+    rest = block_tridiagonal(left, -earlier[:inner] @ after[1 : inner + 1])
+    return BlockTridiagonal(inverse, before, after, rest, determinant + rest.log_determinant)

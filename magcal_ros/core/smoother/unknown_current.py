@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.factors import Residuals
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE
 
 
 def with_unknown_current(
-    linear: Linear, nodes: Nodes, shared: FloatArray, variance: FloatArray, most: float
-) -> Linear:
+    linear: Residuals, nodes: Nodes, shared: FloatArray, variance: FloatArray, most: float
+) -> Residuals:
     """Return the field's residuals, scaled down along the motors' field.
 
     The scaled residuals have `variance` per axis (n,) in all directions, including the uncertainty

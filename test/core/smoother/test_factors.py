@@ -22,8 +22,8 @@ from magcal_ros.core.smoother import (
     VELOCITY,
     Course,
     Lengths,
-    Linear,
     Places,
+    Residuals,
     State,
     factors,
     factors_by_field,
@@ -71,11 +71,11 @@ def places(count: int) -> Places:
     return Places(weights, np.arange(4), np.linspace(0.2, 1.0, count), np.eye(4), 0.0, 30.0)
 
 
-def magnetic(course: Course, state: State) -> Linear:
+def magnetic(course: Course, state: State) -> Residuals:
     return factors.magnetic(course, state, places(len(course.nodes)))
 
 
-def process(_: Course, state: State) -> Linear:
+def process(_: Course, state: State) -> Residuals:
     return factors.process(state, STREET, np.full(len(state.local) - 1, 0.7))
 
 
@@ -83,42 +83,42 @@ def forward(count: int) -> np.ndarray:
     return np.tile([0.8, 0.5, 0.1], (count, 1))
 
 
-def followed(_: Course, state: State) -> Linear:
+def followed(_: Course, state: State) -> Residuals:
     correlation = np.linspace(0.1, 0.9, 2 * (len(state.local) - 1)).reshape(2, -1)
     return factors.second_order(
         state, ACCELERATION.start, correlation, (VELOCITY.start, ACCELERATION.start)
     )
 
 
-def known_heading(_: Course, state: State) -> Linear:
+def known_heading(_: Course, state: State) -> Residuals:
     count = len(state.local)
     return factors.known_heading(np.linspace(0.0, 1.0, count), forward(count), state)
 
 
-def known_turn(_: Course, state: State) -> Linear:
+def known_turn(_: Course, state: State) -> Residuals:
     count = len(state.local)
     turned, seconds = np.linspace([0.0, 3.0], [0.1, 7.0], count - 1).T
     return factors.known_turn(turned, seconds, forward(count), state)
 
 
-def force_at_rest(_: Course, state: State) -> Linear:
+def force_at_rest(_: Course, state: State) -> Residuals:
     return factors.force_at_rest(np.tile([0.3, -0.2, 9.7], (len(state.local), 1)), state)
 
 
-def turning(course: Course, state: State) -> Linear:
+def turning(course: Course, state: State) -> Residuals:
     return factors_by_field.turning(course, state, turn_axes(course))
 
 
-def lean(course: Course, state: State) -> Linear:
+def lean(course: Course, state: State) -> Residuals:
     axes = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
     return factors_by_field.lean(state, axes, np.full(len(state.local) - 1, 0.7))
 
 
-def speed_ahead(_: Course, state: State) -> Linear:
+def speed_ahead(_: Course, state: State) -> Residuals:
     return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=True)
 
 
-def speed_any_way(_: Course, state: State) -> Linear:
+def speed_any_way(_: Course, state: State) -> Residuals:
     return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=False)
 
 
@@ -144,7 +144,7 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
 
 @pytest.mark.parametrize("factor", FACTORS, ids=lambda f: f.__name__)
 def test_derivatives_by_unknowns_of_nodes_are_correct(
-    course: Course, state: State, factor: Callable[[Course, State], Linear]
+    course: Course, state: State, factor: Callable[[Course, State], Residuals]
 ) -> None:
     linear = factor(course, state)
     scale = max(np.abs(linear.by_node).max(), 1.0)
@@ -164,7 +164,7 @@ def test_derivatives_by_unknowns_of_nodes_are_correct(
 
 @pytest.mark.parametrize("factor", BY_SHARED, ids=lambda f: f.__name__)
 def test_derivatives_by_shared_unknowns_are_correct(
-    course: Course, state: State, factor: Callable[[Course, State], Linear]
+    course: Course, state: State, factor: Callable[[Course, State], Residuals]
 ) -> None:
     linear = factor(course, state)
     assert linear.shared is not None

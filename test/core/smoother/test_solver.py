@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.smoother import Linear
-from magcal_ros.core.smoother.solver import Weighted, block_chain
+from magcal_ros.core.smoother import Residuals
+from magcal_ros.core.smoother.solver import WeightedResiduals, block_tridiagonal
 
 SIZE = 3
 
@@ -26,7 +26,7 @@ def blocks(count, rng):
 def test_a_chain_solves_and_inverts_as_the_whole_matrix_does(count):
     rng = np.random.default_rng(count)
     diagonal, upper, whole = blocks(count, rng)
-    chain = block_chain(diagonal, upper)
+    chain = block_tridiagonal(diagonal, upper)
     right = rng.standard_normal((count, SIZE, 4))
     solved = np.linalg.solve(whole, right.reshape(-1, 4))
     np.testing.assert_allclose(chain.solve(right).reshape(-1, 4), solved, rtol=1e-8, atol=1e-10)
@@ -45,13 +45,15 @@ def test_a_matrix_that_is_not_positive_definite_is_refused():
     diagonal, upper, _ = blocks(5, np.random.default_rng(0))
     diagonal[3] -= 100.0 * np.eye(SIZE)
     with pytest.raises(np.linalg.LinAlgError):
-        block_chain(diagonal, upper)
+        block_tridiagonal(diagonal, upper)
 
 
 @pytest.mark.parametrize("freedom", [1.0, 2.0, 6.0, 1e9])
 def test_the_density_of_every_student_distribution_integrates_to_that_of_a_gaussian(freedom):
     x = np.sinh(np.linspace(-12.0, 12.0, 20_001))
-    costs = Weighted(Linear(x[:, None], np.zeros((len(x), 1, 1))), np.full(len(x), 4.0), freedom)
+    costs = WeightedResiduals(
+        Residuals(x[:, None], np.zeros((len(x), 1, 1))), np.full(len(x), 4.0), freedom
+    )
     density = np.exp(-0.5 * (costs.costs + costs.normaliser))
     total = np.sum(0.5 * (density[1:] + density[:-1]) * np.diff(x))
     assert total == pytest.approx(np.sqrt(2.0 * np.pi), rel=1e-4)
