@@ -17,10 +17,11 @@ from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
+from magcal_ros.ros.magnetometers import Ask, Magnetometers, at_once, offer_services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
@@ -82,14 +83,18 @@ class Calibrator(Node):
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
         say = self.get_logger().info
-        slow: dict[str, Ask] = {
+        services: dict[str, Ask] = {
+            "calibrate": self._calibrate,
+            "start": at_once(self._start),
+            "finish": magnetometers.finish,
+            "cancel": at_once(magnetometers.cancel),
+            "reset": at_once(self._reset),
             "accept": lambda tell: magnetometers.accept(self._self_calibration.accept, tell, say),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
         }
-        quick = {"start": self._start, "cancel": magnetometers.cancel, "reset": self._reset}
-        Services(self, magnetometers, quick, slow, self._on_callback_error)
+        offer_services(self, services, self._on_callback_error)
 
     def close(self) -> None:
         """Discard a turn under way; an accepted calibration is on disk already."""
@@ -169,6 +174,13 @@ class Calibrator(Node):
                 self._look.reset()
             self._publish_status()
         return opened
+
+    def _calibrate(self, tell: Tell) -> None:
+        opened = self._start()
+        if opened.success:
+            self._magnetometers.when_done(tell)
+        else:
+            tell(opened)
 
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Use the new calibration in force for the heading."""
