@@ -105,8 +105,8 @@ class Magnetometer:
         return self.control.start(settings, gyro)
 
     @property
-    def accept(self) -> Callable[[Tell], None] | None:
-        """A function that puts the last fit in force; None if the user cannot accept it."""
+    def acceptable(self) -> Calibration | str | None:
+        """The last fit, or why it must not be put in force; None if there is none to accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
         found = None if outcome is None else outcome.calibration
         if outcome is None or found is None:
@@ -114,14 +114,8 @@ class Magnetometer:
         if self.number != FIRST and (outcome.verdict.accepted or turn.outcome_is_of_others):
             return None
         if turn.outcome_is_of_others:
-            words = "the last fit is of sensors other than the present ones"
-            return lambda tell: tell(tm.Conclusion(False, words))
-
-        def put_in_force(tell: Tell) -> None:
-            self.reporter.put_in_force()
-            self.use(found.accepted_by_person(), tell)
-
-        return put_in_force
+            return "the last fit is of sensors other than the present ones"
+        return found
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Put a calibration in force and save it; a success only if it is saved."""

@@ -15,6 +15,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.assessment.grading import shown
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
@@ -55,16 +56,18 @@ class Magnetometers:
         """Put the calibrations in the files in force."""
         ask_all({each.topic: each.store.load for each in self.heard}, tell)
 
-    def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
-        """Put the refused or proposed calibrations in force, first a proposal from driving.
+    def accept(
+        self, proposal: Calibration | None, tell: Tell, say: Callable[[str], object]
+    ) -> None:
+        """Put the refused calibrations in force; for the first magnetometer rather a `proposal`.
 
         `say` takes a line for the log on each of them.
         """
         asked: dict[str, Ask] = {}
         for each in self.heard:
-            ask = proposed if proposed is not None and each is self.heard[0] else each.accept
-            if ask is not None:
-                asked[each.topic] = partial(_accept_one, each, ask, say)
+            found = proposal if proposal is not None and each is self.heard[0] else each.acceptable
+            if found is not None:
+                asked[each.topic] = partial(_put_in_force, each, found, found is proposal, say)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
@@ -196,21 +199,27 @@ class Magnetometers:
             each.control.shut_down()
 
 
-def _accept_one(
-    magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
+def _put_in_force(
+    magnetometer: Magnetometer,
+    found: Calibration | str,
+    is_proposal: bool,
+    say: Callable[[str], object],
+    tell: Tell,
 ) -> None:
-    """Put a calibration in force by `ask`, and log it with `say`."""
-    before = magnetometer.store.calibration
+    """Put a calibration in force and log it with `say`, or answer why it must not be."""
+    if isinstance(found, str):
+        tell(Conclusion(False, found))
+        return
+    if not is_proposal:
+        magnetometer.reporter.put_in_force()
+    sigma, method = math.degrees(known_sigma(found)), printable(found.evidence.method)
+    words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
 
     def note(conclusion: Conclusion) -> None:
-        now = magnetometer.store.calibration
-        if now is not None and now is not before:
-            sigma, method = math.degrees(known_sigma(now)), printable(now.evidence.method)
-            words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
-            say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
+        say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
         tell(conclusion)
 
-    ask(note)
+    magnetometer.use(found.accepted_by_person(), note)
 
 
 def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:

@@ -89,7 +89,9 @@ class Calibrator(Node):
             "finish": magnetometers.finish,
             "cancel": at_once(magnetometers.cancel),
             "reset": at_once(self._reset),
-            "accept": lambda tell: magnetometers.accept(self._self_calibration.accept, tell, say),
+            "accept": lambda tell: magnetometers.accept(
+                self._self_calibration.machine.proposal, tell, say
+            ),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +16,6 @@ from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
-from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
@@ -65,14 +62,6 @@ class SelfCalibrationRunner:
             self.machine.forget()
         if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()
-
-    @property
-    def accept(self) -> Callable[[Tell], None] | None:
-        """A function that puts the proposal in force; None without a proposal."""
-        proposal = self.machine.proposal
-        if proposal is None:
-            return None
-        return partial(self._magnetometer.use, proposal.accepted_by_person())
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""
