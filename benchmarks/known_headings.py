@@ -229,8 +229,7 @@ class Follower:
         follower = self._up
         up = follower.at(sample.stamp, 0.0)
         if up is not None:
-            by = up.direction, follower.mean_rate, follower.gyro_bias.variance
-            self._turn = self._turn.after(sample.stamp, *by)
+            self._turn = self._turn.after(sample.stamp, follower)
         if up is None or self._fused is None:
             return
         rate, known = follower.mean_rate, follower.gyro_bias

@@ -267,7 +267,8 @@ def _live_window(
             break
         if progress.coverage.is_complete and now >= preview + PREVIEW_EVERY:
             preview = now
-            session.note_sigma(predicted_sigma(session.look(), knowledge))
+            sigma = predicted_sigma(session.window(), knowledge)
+            session.note_sigma(sigma, progress.coverage.turned)
     return _taken(session)
 
 

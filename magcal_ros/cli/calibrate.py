@@ -136,7 +136,7 @@ class _Turn:
         from magcal_ros.ros.sensor_frames import LATCHED
 
         self._calibrator = calibrator
-        self._status: str | None = None
+        self._status: dict[str, Any] = {}
         self._progress: dict[str, Any] | None = None
         self._received_at: float | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
@@ -184,12 +184,12 @@ class _Turn:
 
     def _warn_if_it_moves(self) -> None:
         deadline = time.monotonic() + STATUS_WITHIN
-        while self._status is None and time.monotonic() < deadline:
+        while not self._status and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
-        if self._status is None:
+        if not self._status:
             unknown = "if the parameter rotate.enabled is true, which is not known"
             print(f"The robot will turn itself {unknown}: keep clear.", flush=True)
-        elif live_view.turns_itself(self._status):
+        elif self._status.get("turns_itself") is True:
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _require_life(self) -> None:
@@ -202,8 +202,8 @@ class _Turn:
 
     def _on_status(self, message: Any) -> None:
         self._received_at = time.monotonic()
-        self._status = message.data
-        self._progress = live_view.progress_of(message.data)
+        self._status = live_view.status_of(message.data)
+        self._progress = live_view.progress_of(self._status)
 
     def _on_diagnostics(self, message: Any) -> None:
         begin = f"{self._calibrator.lstrip('/')}: "

@@ -88,46 +88,45 @@ WIDEST = 80
 """Columns of the panel; on a narrower terminal it has the width of the terminal."""
 
 
-def progress_of(status: str) -> dict[str, Any] | None:
-    """Return the progress of a turn in the text of `~/status`; None if no turn is under way.
+def status_of(text: str) -> dict[str, Any]:
+    """Return the content of `~/status`; empty for another text, because any node may publish."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
-    Any node may publish there, so texts that are not a status are ignored, and control characters
-    are replaced.
+
+def progress_of(status: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the progress of a turn in a status; None if no turn is under way.
+
+    Entries of other types are ignored, and control characters are replaced.
     """
     try:
-        content = json.loads(status)
-        if content["state"] not in BUSY:
+        if status["state"] not in BUSY:
             return None
-        found = content["progress"]
+        found = status["progress"]
         shown: dict[str, Any] = {name: float(found[name]) for name in NUMBERS}
         shown |= {name: printable(str(found[name])) for name in TEXTS}
         shown["samples"] = int(found["samples"])
         sigma = found["heading_sigma_deg"]
         shown["heading_sigma_deg"] = None if sigma is None else float(sigma)
-    except (ValueError, TypeError, LookupError, OverflowError, RecursionError):
+    except (ValueError, TypeError, LookupError, OverflowError):
         return None
     return shown if all(math.isfinite(shown[name]) for name in NUMBERS) else None
 
 
-def turns_itself(status: str) -> bool:
-    """Whether the robot turns itself, by the text of `~/status`."""
-    try:
-        return json.loads(status)["turns_itself"] is True
-    except (ValueError, TypeError, LookupError, RecursionError):
-        return False
-
-
-def with_all_reasons(message: str, status: str | None) -> str:
+def with_all_reasons(message: str, status: dict[str, Any]) -> str:
     """Return the answer of ~/calibrate with all reasons against the result, each on one line.
 
-    The answer contains the first reasons; the text of `~/status` contains all.
+    The answer contains the first reasons; the status contains all.
     """
     try:
-        verdict = json.loads(status or "")["verdict"]
+        verdict = status["verdict"]
         summary, headline = str(verdict["summary"]), str(verdict["headline"])
         against = [printable(str(words), LONGEST_ERROR) for words in verdict["against"]]
         accepted = verdict["accepted"] is True
-    except (ValueError, TypeError, LookupError, RecursionError):
+    except (TypeError, LookupError):
         return message
     before, found, after = message.partition(summary)
     if not (found and summary and against):

@@ -13,10 +13,7 @@ SCALED_IMU of telemetry hold the same field.
 from __future__ import annotations
 
 import math
-from array import array
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
-from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
+from magcal_ros.files.dataflash import BINARY, DataFlash, flat_arrays, read_dataflash
 from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
 
@@ -34,22 +31,24 @@ SUFFIXES = (".bin", ".log", ".tlog")
 
 TESLA = 1e-7  # in a milligauss
 
-NAMES = logs.SensorNames(
-    logs.SensorName("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
-    logs.SensorName(
+LOGGED = (
+    ("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
+    (
         "MAG",
         "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
         "Health is 0",
     ),
 )
-TELEMETRY_NAMES = logs.SensorNames(
-    logs.SensorName(
+TRANSMITTED = (
+    (
         "IMU",
         "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
         "card",
     ),
-    logs.SensorName("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
+    ("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
 )
+"""Name of IMU and magnetometer, what to do without one, and the mark of an unhealthy one."""
+
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
 """Messages of telemetry, and the number of the sensor. SCALED_IMU repeats RAW_IMU."""
@@ -68,6 +67,8 @@ BACKWARDS, LATE = 1.0, 10.0
 
 SENSORS = 3
 Parameters = dict[str, float]
+History = list[tuple[float, Parameters]]
+"""All parameters, with the time from which they are valid: the autopilot may change them."""
 
 
 def read_ardupilot(
@@ -84,70 +85,67 @@ def read_ardupilot(
     deadline = logs.Deadline(path, progress)
     with logs.without_output(path, deadline):
         if telemetry:
-            logged = _telemetry(path, deadline)
+            tables = _tables(_telemetry(path, deadline), TRANSMITTED)
         else:
-            logged = _logged(read_dataflash(path, begun, deadline))
-        tables = _raw_tables(logged, telemetry)
+            tables = _tables(read_dataflash(path, begun, deadline), LOGGED)
         deadline.report(1.0)
-    return logs.recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
+    return tables.recording(path, imu, mag)
 
 
-@dataclass
-class _Logged:
-    """The contents of a log by sensor, as logged, in forward-right-down axes."""
-
-    imus: dict[int, FloatArray] = field(default_factory=dict)  # stamp, specific force, rate
-    mags: dict[int, FloatArray] = field(default_factory=dict)
-    """Stamp (s), field, offsets and motors' part (milligauss); NaN for columns not logged."""
-    parameters: list[tuple[float, Parameters]] = field(default_factory=lambda: [(-math.inf, {})])
-    """All parameters, with the time from which they are valid: the autopilot may change them."""
-    lane: tuple[int, int] | None = None
-    """Lane of the EKF that was used most of the time, and the compass of this lane."""
-    tables: logs.LogTables = field(default_factory=logs.LogTables)
-
-    def take_parameter(self, stamp: float, name: str, value: float) -> None:
-        """Add a parameter; its first value is also valid before it was logged."""
-        if not name.startswith(PARAMETERS):
-            return
-        newest = self.parameters[-1][1]
-        if name not in newest:
-            for _, each in self.parameters:
-                each[name] = value
-        elif newest[name] != value:
-            self.parameters.append((stamp, {**newest, name: value}))
-
-    def take_fix(self, fix: Fix, speed: float, course: float) -> None:
-        """Add a receiver's fix, with speed (m/s) and course (rad)."""
-        self.tables.fixes.append(fix)
-        if fix.has_fix and math.isfinite(speed + course):
-            self.tables.velocities.append(logs.velocity(fix.stamp, speed, course))
-
-
-def _logged(found: DataFlash) -> _Logged:
-    out = _Logged()
-    for stamp, name, value in found.parameters:
-        out.take_parameter(stamp, name, value)
+def _tables(found: DataFlash, names: tuple[tuple[str, ...], ...]) -> logs.LogTables:
+    """Return the log in SI units and forward-left-up axes, without the autopilot's calibration."""
+    imus, fields = (logs.Sensors(*each) for each in names)
+    tables, parameters = logs.LogTables(imus, fields), _history(found)
     for number, part in _instances(found, "IMU"):
-        healthy = (part[:, 8] != 0.0) & (part[:, 9] != 0.0)
-        out.imus[number] = part[healthy][:, [0, *range(2, 8)]]
-        out.tables.unhealthy_imus[number] = int((~healthy).sum())
+        healthy = part[(part[:, 8] != 0.0) & (part[:, 9] != 0.0)]
+        imus.unhealthy[number] = len(part) - len(healthy)
+        if len(healthy):
+            turned = healthy[:, 2:8] * np.tile(logs.FLU_FROM_FRD, 2)
+            imus.rows[number] = np.column_stack([healthy[:, 0], turned])
     for number, part in _instances(found, "MAG"):
-        healthy = part[:, 11] != 0.0
-        out.mags[number] = part[healthy][:, [0, *range(2, 11)]]
-        out.tables.unhealthy_fields[number] = int((~healthy).sum())
+        healthy = part[part[:, 11] != 0.0]
+        fields.unhealthy[number] = len(part) - len(healthy)
+        if len(healthy):
+            _take_field(fields, number, healthy[:, [0, *range(2, 11)]], parameters)
     if "ATT" in found.tables:
         stamps, bearing = found.tables["ATT"].T
-        out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
+        tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
     receivers = found.tables.get("GPS", np.empty(0)).tolist()
     for stamp, number, status, latitude, longitude, altitude, speed, course in receivers:
         if not number > 0.0:  # the first receiver, which old releases do not number
             fix = Fix(status >= logs.FIX_3D, latitude, longitude, altitude, stamp)
-            out.take_fix(fix, speed, math.radians(course))
-    if "XKFS" in found.tables and "XKF4" in found.tables:
-        lane = logs.most_common(found.tables["XKF4"][:, 1])
-        selected = found.tables["XKFS"]
-        out.lane = lane, logs.most_common(selected[selected[:, 1] == lane, 2])
-    return out
+            tables.take_fix(fix, speed, math.radians(course))
+    newest = parameters[-1][1]
+    _sort_sensors(tables, newest, _lane(found))
+    if names is TRANSMITTED and "COMPASS_OFS_X" not in newest:
+        tables.notes.append(
+            "the log does not hold the parameters COMPASS_OFS: the field is taken as if they "
+            "were 0. Offsets that are found must be added to those in force"
+        )
+    return tables
+
+
+def _history(found: DataFlash) -> History:
+    """Return all parameters by time; a parameter's first value is also valid before it."""
+    history: History = [(-math.inf, {})]
+    for stamp, name, value in found.parameters:
+        newest = history[-1][1]
+        if not name.startswith(PARAMETERS):
+            continue
+        if name not in newest:
+            for _, each in history:
+                each[name] = value
+        elif newest[name] != value:
+            history.append((stamp, {**newest, name: value}))
+    return history
+
+
+def _lane(found: DataFlash) -> tuple[int, int] | None:
+    """Return the EKF's lane that was used most of the time, and its compass; None if unknown."""
+    if not {"XKFS", "XKF4"} <= found.tables.keys():
+        return None
+    selected, lane = found.tables["XKFS"], logs.most_common(found.tables["XKF4"][:, 1])
+    return lane, logs.most_common(selected[selected[:, 1] == lane, 2])
 
 
 def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
@@ -160,7 +158,8 @@ def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
                 yield int(number), table[numbers == number]
 
 
-def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
+def _telemetry(path: Path, deadline: logs.Deadline) -> DataFlash:
+    """Read a telemetry log into the tables of a DataFlash log."""
     reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
     read, count, known = _Telemetry(), 0, 0
     try:
@@ -180,15 +179,15 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     return read.logged()
 
 
+NOT_SENT = (math.nan,) * 7  # offsets, motors' part and health of a magnetometer
+
+
 class _Telemetry:
-    """Collects telemetry messages, added one by one."""
+    """Collects telemetry messages, added one by one, as messages of a DataFlash log."""
 
     def __init__(self) -> None:
-        # Flat arrays take a tenth of the memory of rows.
-        self._imus: dict[int, array[float]] = defaultdict(_numbers)
-        self._mags: dict[int, array[float]] = defaultdict(_numbers)
-        self._yaw = _numbers()
-        self._out = _Logged()
+        self._rows = flat_arrays()
+        self._found = DataFlash()
         self._system: int | None = None
         self._booted = self._own = math.nan
 
@@ -201,19 +200,19 @@ class _Telemetry:
         if m.get_srcSystem() != self._system:
             return
         if kind in RAW_KINDS:
-            stamp = self._by_own_clock(m)
+            stamp, number = self._by_own_clock(m), RAW_KINDS[kind]
             force = (value * STANDARD_GRAVITY for value in (m.xacc, m.yacc, m.zacc))
             row = [1e-3 * value for value in (*force, m.xgyro, m.ygyro, m.zgyro)]
-            self._imus[RAW_KINDS[kind]].extend((stamp, *row))
-            self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag))
+            self._rows["IMU"].extend((stamp, number, *row, 1.0, 1.0))
+            self._rows["MAG"].extend((stamp, number, m.xmag, m.ymag, m.zmag, *NOT_SENT))
         elif kind == "ATTITUDE":
-            self._yaw.extend((self._by_own_clock(m), 0.5 * math.pi - m.yaw))
+            self._rows["ATT"].extend((self._by_own_clock(m), math.degrees(m.yaw)))
         elif kind == "PARAM_VALUE":
-            self._out.take_parameter(m._timestamp, m.param_id, float(m.param_value))
+            self._found.parameters.append((m._timestamp, m.param_id, float(m.param_value)))
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
-            fix = Fix(m.fix_type >= logs.FIX_3D, *place, m._timestamp)
-            self._out.take_fix(fix, 0.01 * m.vel, math.radians(0.01 * m.cog))
+            motion = 0.01 * m.vel, 0.01 * m.cog
+            self._rows["GPS"].extend((m._timestamp, 0.0, m.fix_type, *place, *motion))
 
     def _by_own_clock(self, m: Any) -> float:
         """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""
@@ -225,57 +224,34 @@ class _Telemetry:
         self._own = own
         return float(own + self._booted)
 
-    def logged(self) -> _Logged:
+    def logged(self) -> DataFlash:
         """Return the collected messages."""
-        out = self._out
-        for sensors in (self._imus, self._mags):
-            repeated = sensors.pop(REPEATED, _numbers())
-            if repeated:
-                sensors.setdefault(0, repeated)
-        out.tables.yaw = np.array(self._yaw).reshape(-1, 2)
-        out.imus = {k: np.array(rows).reshape(-1, 7) for k, rows in self._imus.items()}
-        for number, rows in self._mags.items():
-            table = np.array(rows).reshape(-1, 4)
-            out.mags[number] = np.pad(table, ((0, 0), (0, 6)), constant_values=math.nan)
-        return out
+        self._found.add_rows(self._rows)
+        for kind in ("IMU", "MAG"):
+            table = self._found.tables.get(kind, np.empty((0, 2)))
+            repeated = table[:, 1] == REPEATED
+            if (table[:, 1] == 0.0).any():
+                self._found.tables[kind] = table[~repeated]
+            else:
+                table[repeated, 1] = 0.0
+        return self._found
 
 
-def _numbers() -> array[float]:
-    return array("d")
-
-
-def _raw_tables(logged: _Logged, telemetry: bool) -> logs.LogTables:
-    """Return the log in SI units and forward-left-up axes, without the autopilot's calibration."""
-    tables, newest = logged.tables, logged.parameters[-1][1]
-    for number, table in logged.imus.items():
-        if len(table):
-            table[:, 1:] *= np.tile(logs.FLU_FROM_FRD, 2)
-            tables.imus[number] = table
-    for number, table in logged.mags.items():
-        if len(table):
-            _take_field(tables, number, table, logged.parameters)
-    # Without messages on the EKF's choice, use the parameters; COMPASS_PRIMARY exists up to 4.0.
-    primary = newest.get("EK3_PRIMARY"), newest.get("COMPASS_PRIMARY")
-    lane, compass = logged.lane or (None if each is None else int(each) for each in primary)
-    # Lanes of the EKF are numbered over the IMUs in EK3_IMU_MASK.
-    of_lanes = [k for k in range(SENSORS) if int(newest.get("EK3_IMU_MASK", 3.0)) >> k & 1]
-    used = of_lanes[lane] if lane is not None and 0 <= lane < len(of_lanes) else None
-    tables.imu_order = _order(tables.imus, newest, "INS_USE", used)
-    tables.field_order = _order(tables.fields, newest, "COMPASS_USE", compass)
-    if telemetry and "COMPASS_OFS_X" not in newest:
-        tables.notes.append(
-            "the log does not hold the parameters COMPASS_OFS: the field is taken as if they "
-            "were 0. Offsets that are found must be added to those in force"
-        )
-    return tables
-
-
-def _take_field(
-    tables: logs.LogTables,
-    number: int,
-    table: FloatArray,
-    parameters: list[tuple[float, Parameters]],
+def _sort_sensors(
+    tables: logs.LogTables, parameters: Parameters, chosen: tuple[int, int] | None
 ) -> None:
+    """Put the sensors in order by what the autopilot has `chosen`: lane of the EKF and compass."""
+    # Without messages on the EKF's choice, use the parameters; COMPASS_PRIMARY exists up to 4.0.
+    primary = parameters.get("EK3_PRIMARY"), parameters.get("COMPASS_PRIMARY")
+    lane, compass = chosen or (None if each is None else int(each) for each in primary)
+    # Lanes of the EKF are numbered over the IMUs in EK3_IMU_MASK.
+    of_lanes = [k for k in range(SENSORS) if int(parameters.get("EK3_IMU_MASK", 3.0)) >> k & 1]
+    used = of_lanes[lane] if lane is not None and 0 <= lane < len(of_lanes) else None
+    _sort(tables.imus, parameters, "INS_USE", used)
+    _sort(tables.fields, parameters, "COMPASS_USE", compass)
+
+
+def _take_field(fields: logs.Sensors, number: int, table: FloatArray, parameters: History) -> None:
     """Add the raw field of a compass; samples with an earlier orientation are left out."""
     newest = parameters[-1][1]
     slot = _slot(number, table[-1, 4:7], newest)
@@ -287,9 +263,9 @@ def _take_field(
         raw[rows] = _without_calibration(table[rows], slot, held)
         is_turned[rows] = held.get(orientation) != newest.get(orientation)
     raw *= logs.FLU_FROM_FRD * TESLA
-    tables.fields[number] = np.column_stack([table[:, 0], raw])[~is_turned]
-    tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
-    notes = tables.field_notes.setdefault(number, [])
+    fields.rows[number] = np.column_stack([table[:, 0], raw])[~is_turned]
+    fields.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
+    notes = fields.notes.setdefault(number, [])
     if is_turned.any():
         notes.append(
             f"{orientation} was changed during the log: the field is used only from then on"
@@ -302,21 +278,19 @@ def _take_field(
         )
 
 
-def _order(
-    sensors: Mapping[int, FloatArray], parameters: Parameters, switch: str, used: int | None
-) -> logs.Order:
-    """Return the order: enabled sensors first, the used one first of them, then by health."""
-    longest = max((len(each) for each in sensors.values()), default=0)
+def _sort(sensors: logs.Sensors, parameters: Parameters, switch: str, used: int | None) -> None:
+    """Put sensors in order: enabled ones first, the used one first of them, then by health."""
+    longest = max((len(each) for each in sensors.rows.values()), default=0)
 
     def rank(number: int) -> tuple[bool, bool, bool, int]:
         is_off = parameters.get(f"{switch}{SLOTS[min(number, SENSORS - 1)]}") == 0.0
-        return is_off, number != used, len(sensors[number]) < 0.5 * longest, number
+        return is_off, number != used, len(sensors.rows[number]) < 0.5 * longest, number
 
-    numbers = tuple(sorted(sensors, key=rank))
-    if numbers and numbers[0] == used:
-        return logs.Order(numbers, "which the autopilot used")
-    is_said = any(name.startswith(switch) for name in parameters)
-    return logs.Order(numbers, f"the first by {switch} and health" if is_said else "")
+    sensors.order = sorted(sensors.rows, key=rank)
+    if sensors.order and sensors.order[0] == used:
+        sensors.reason = "which the autopilot used"
+    elif any(name.startswith(switch) for name in parameters):
+        sensors.reason = f"the first by {switch} and health"
 
 
 def _slot(number: int, offsets: FloatArray, parameters: Parameters) -> int:

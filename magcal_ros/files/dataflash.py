@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,16 @@ class DataFlash:
     tables: dict[str, FloatArray] = field(default_factory=dict)
     """By message type: the stamp and `COLUMNS`, NaN for columns that a release does not log."""
     parameters: list[tuple[float, str, float]] = field(default_factory=list)  # stamp, name, value
+
+    def add_rows(self, rows: Mapping[str, array[float]]) -> None:
+        """Add tables that are given row by row as flat arrays, a tenth of the memory of rows."""
+        for kind, numbers in rows.items():
+            self.tables[kind] = np.array(numbers).reshape(-1, 1 + len(COLUMNS[kind]))
+
+
+def flat_arrays() -> dict[str, array[float]]:
+    """Return empty arrays, by message type, for `DataFlash.add_rows`."""
+    return defaultdict(lambda: array("d"))
 
 
 def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFlash:
@@ -120,9 +131,7 @@ def _rows(reader: Any, kind: str, codes: Any) -> tuple[Any, FloatArray]:
 
 
 def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
-    # Flat arrays take a tenth of the memory of rows.
-    flat: dict[str, array[float]] = defaultdict(lambda: array("d"))
-    found = DataFlash()
+    found, flat = DataFlash(), flat_arrays()
     wanted, count = [*COLUMNS, "PARM"], 0
     while (message := reader.recv_match(type=wanted, strict=True)) is not None:
         if count % logs.EVERY == 0:
@@ -134,6 +143,5 @@ def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
         else:
             row = (float(getattr(message, name, np.nan)) for name in COLUMNS[kind])
             flat[kind].extend((stamp, *row))
-    for kind, numbers in flat.items():
-        found.tables[kind] = np.array(numbers).reshape(-1, 1 + len(COLUMNS[kind]))
+    found.add_rows(flat)
     return found

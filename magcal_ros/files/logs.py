@@ -7,10 +7,10 @@ import importlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -61,152 +61,121 @@ class Deadline:
             )
 
 
-@dataclass(frozen=True)
-class Order:
-    """The order of preference of sensors; those not listed follow by number."""
+@dataclass
+class Sensors:
+    """All accelerometers or all magnetometers of a log, by number."""
 
-    numbers: Sequence[int] = ()
-    reason: str = ""
-    """Why the first sensor is preferred."""
+    name: str  # in this kind of log
+    remedy: str  # what to do if the log has no such sensor
+    health: str = ""  # how the log marks samples of an unhealthy sensor
+    _: KW_ONLY
+    rows: dict[int, FloatArray] = field(default_factory=dict)
+    """As in `Recording`: SI units, forward-left-up axes."""
+    unhealthy: dict[int, int] = field(default_factory=dict)
+    """Numbers of samples left out because the autopilot calls the sensor unhealthy in them."""
+    order: Sequence[int] = ()
+    """The order of preference; sensors that are not in it follow by number."""
+    reason: str = ""  # why the first sensor in `order` is preferred
+    frames: dict[int, str] = field(default_factory=dict)
+    """The name of each magnetometer that is stored in a calibration, for `export`."""
+    notes: dict[int, list[str]] = field(default_factory=dict)
+    """Notes for the user if a sensor is chosen."""
+
+    def called(self, number: int) -> str:
+        """Return the name of a sensor."""
+        return f"{self.name}[{number}]"
+
+    def choose(self, path: Path, kind: str, option: str, wanted: str, notes: list[str]) -> int:
+        """Return the number of the sensor to use, and add what the user should know to `notes`."""
+        rank = {number: place for place, number in enumerate(self.order)}
+        numbers = sorted(
+            {*self.rows, *self.unhealthy},
+            key=lambda number: (rank.get(number, len(rank)), number),
+        )
+        every = ", ".join(map(self.called, sorted(numbers)))
+        if wanted:
+            found = [k for k in numbers if wanted in (self.called(k), str(k))]
+            if not found:
+                raise FileError(
+                    f"{printable(str(path))} has no {printable(wanted)}; it has: {every or 'none'}."
+                    f" Choose with {option}"
+                )
+            numbers = found
+        if not numbers:
+            raise FileError(f"{printable(str(path))} has no {self.name} data: {self.remedy}")
+        faults = {k: words for k in numbers if (words := self._fault(k))}
+        if len(faults) == len(numbers):
+            raise FileError(
+                f"{printable(str(path))} has no working {kind}: {'; '.join(faults.values())}. "
+                f"{self.remedy[:1].upper()}{self.remedy[1:]}"
+            )
+        chosen = next(k for k in numbers if k not in faults)
+        if len(numbers) > 1:
+            told = f" ({'; '.join(faults.values())})" if faults else ""
+            reason = f", {self.reason}" if self.reason and chosen == self.order[0] else ""
+            notes.append(
+                f"the log has {every}{told}: {self.called(chosen)} is used{reason}; choose another "
+                f"with {option}"
+            )
+        if left_out := self.unhealthy.get(chosen, 0):
+            notes.append(
+                f"{left_out} of {left_out + len(self.rows[chosen])} samples of "
+                f"{self.called(chosen)} are left out: the autopilot calls it unhealthy in them "
+                f"({self.health})"
+            )
+        notes += self.notes.get(chosen, ())
+        return chosen
+
+    def _fault(self, number: int) -> str:
+        """Return why a sensor does not work; empty if it does."""
+        rows, left_out = self.rows.get(number, np.empty((0, 4))), self.unhealthy.get(number, 0)
+        if varies(rows[:, 1:4]):
+            return ""
+        if left_out and not len(rows):
+            return (
+                f"the autopilot calls {self.called(number)} unhealthy in all its {left_out} samples"
+                f" ({self.health}): the sensor sends no readings"
+            )
+        return f"{self.called(number)} holds one value, or none, in all its {len(rows)} samples"
 
 
 @dataclass
 class LogTables:
-    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes."""
+    """The contents of a log."""
 
-    imus: dict[int, FloatArray] = field(default_factory=dict)
-    fields: dict[int, FloatArray] = field(default_factory=dict)
-    """As in `Recording`, by the number of the sensor."""
-    frames: dict[int, str] = field(default_factory=dict)
-    """The name of each magnetometer that is stored in a calibration, for `export`."""
-    field_notes: dict[int, list[str]] = field(default_factory=dict)
-    """Notes for the user if a magnetometer is chosen."""
-    imu_order: Order = Order()
-    field_order: Order = Order()
-    unhealthy_imus: dict[int, int] = field(default_factory=dict)
-    unhealthy_fields: dict[int, int] = field(default_factory=dict)
-    """Numbers of samples left out because the autopilot calls the sensor unhealthy in them."""
+    imus: Sensors
+    fields: Sensors
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     """Stamp (s) and the autopilot's yaw (rad, ENU, true north). Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
 
+    def take_fix(self, fix: Fix, speed: float, course: float) -> None:
+        """Add a fix, with speed over ground (m/s) and course (rad, clockwise of north), or NaN."""
+        self.fixes.append(fix)
+        if fix.has_fix and math.isfinite(speed + course):
+            east, north = speed * math.sin(course), speed * math.cos(course)
+            moving = VelocitySample(fix.stamp, east, north, RECEIVER_SPEED_SIGMA)
+            self.velocities.append(moving)
 
-class SensorName(NamedTuple):
-    """The name of a sensor in a kind of log, and the remedy if the sensor is missing."""
-
-    name: str
-    remedy: str
-    health: str = ""  # how the log marks samples of an unhealthy sensor
-
-
-class SensorNames(NamedTuple):
-    """The names of both sensors."""
-
-    imu: SensorName
-    field: SensorName
-
-
-def recording_of(
-    path: Path, tables: LogTables, names: SensorNames, imu: str = "", mag: str = ""
-) -> Recording:
-    """Choose the sensors and return their recording; FileError if none gives data."""
-    notes = list(tables.notes)
-    imus = _Kind(names.imu, tables.imus, tables.unhealthy_imus, tables.imu_order, "--imu")
-    one = _chosen(path, imus, imu, notes)
-    fields = _Kind(names.field, tables.fields, tables.unhealthy_fields, tables.field_order, "--mag")
-    other = _chosen(path, fields, mag, notes)
-    notes += tables.field_notes.get(other, ())
-    travel, place = travel_of([*tables.velocities, *tables.fixes])
-    return Recording(
-        _in_order(tables.imus[one]),
-        _in_order(tables.fields[other]),
-        travel=travel,
-        place=place,
-        imu_topic=f"{names.imu.name}[{one}]",
-        field_topic=f"{names.field.name}[{other}]",
-        field_frame=tables.frames.get(other, ""),
-        yaw=_in_order(tables.yaw[np.isfinite(tables.yaw).all(axis=1)]),
-        notes=tuple(notes),
-    )
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """All accelerometers or all magnetometers of a log, by number."""
-
-    called: SensorName
-    sensors: Mapping[int, FloatArray]
-    unhealthy: Mapping[int, int]
-    order: Order
-    option: str
-
-    def name(self, number: int) -> str:
-        return f"{self.called.name}[{number}]"
-
-    def count(self, number: int) -> int:
-        return len(self.sensors.get(number, ()))
-
-    def works(self, number: int) -> bool:
-        return self.count(number) > 0 and varies(self.sensors[number][:, 1:4])
-
-    def fault(self, number: int) -> str:
-        """Say why a sensor does not work."""
-        left_out = self.unhealthy.get(number, 0)
-        if left_out and not self.count(number):
-            return (
-                f"the autopilot calls {self.name(number)} unhealthy in all its {left_out} samples "
-                f"({self.called.health}): the sensor sends no readings"
-            )
-        return (
-            f"{self.name(number)} holds one value, or none, in all its {self.count(number)} samples"
+    def recording(self, path: Path, imu: str = "", mag: str = "") -> Recording:
+        """Choose the sensors and return their recording; FileError if none gives data."""
+        notes = list(self.notes)
+        one = self.imus.choose(path, "accelerometer", "--imu", imu, notes)
+        other = self.fields.choose(path, "magnetometer", "--mag", mag, notes)
+        travel, place = travel_of([*self.velocities, *self.fixes])
+        return Recording(
+            _in_order(self.imus.rows[one]),
+            _in_order(self.fields.rows[other]),
+            travel=travel,
+            place=place,
+            imu_topic=self.imus.called(one),
+            field_topic=self.fields.called(other),
+            field_frame=self.fields.frames.get(other, ""),
+            yaw=_in_order(self.yaw[np.isfinite(self.yaw).all(axis=1)]),
+            notes=tuple(notes),
         )
-
-
-def _chosen(path: Path, kind: _Kind, wanted: str, notes: list[str]) -> int:
-    """Return the number of the sensor to take."""
-    name, remedy, _ = kind.called
-    order, option = kind.order, kind.option
-    rank = {number: place for place, number in enumerate(order.numbers)}
-    numbers = sorted(
-        {*kind.sensors, *kind.unhealthy},
-        key=lambda number: (rank.get(number, len(rank)), number),
-    )
-    every = ", ".join(kind.name(k) for k in sorted(numbers))
-    if wanted:
-        found = [k for k in numbers if wanted in (kind.name(k), str(k))]
-        if not found:
-            raise FileError(
-                f"{printable(str(path))} has no {printable(wanted)}; it has: {every or 'none'}. "
-                f"Choose with {option}"
-            )
-        numbers = found
-    if not numbers:
-        raise FileError(f"{printable(str(path))} has no {name} data: {remedy}")
-    working = [k for k in numbers if kind.works(k)]
-    if not working:
-        what = "magnetometer" if option == "--mag" else "accelerometer"
-        faults = "; ".join(kind.fault(k) for k in numbers)
-        raise FileError(
-            f"{printable(str(path))} has no working {what}: {faults}. "
-            f"{remedy[:1].upper()}{remedy[1:]}"
-        )
-    chosen = working[0]
-    if len(numbers) > 1:
-        dead = [kind.fault(k) for k in numbers if k not in working]
-        told = f" ({'; '.join(dead)})" if dead else ""
-        reason = f", {order.reason}" if order.reason and chosen == order.numbers[0] else ""
-        notes.append(
-            f"the log has {every}{told}: {kind.name(chosen)} is used{reason}; choose another with "
-            f"{option}"
-        )
-    if left_out := kind.unhealthy.get(chosen, 0):
-        notes.append(
-            f"{left_out} of {left_out + kind.count(chosen)} samples of {kind.name(chosen)} are "
-            f"left out: the autopilot calls it unhealthy in them ({kind.called.health})"
-        )
-    return chosen
 
 
 def varies(vectors: FloatArray) -> bool:
@@ -230,12 +199,6 @@ def symmetric(diagonal: Iterable[float], off_diagonal: Iterable[float]) -> Float
 def _in_order(table: FloatArray) -> FloatArray:
     """Return the rows sorted by stamp: loggers with several threads do not keep the order."""
     return table[np.argsort(table[:, 0], kind="stable")]
-
-
-def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
-    """Return the velocity for a speed over ground (m/s) and a course (rad, clockwise of north)."""
-    east, north = speed * math.sin(course), speed * math.cos(course)
-    return VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
 
 
 def library(path: Path, module: str, extra: str) -> Any:

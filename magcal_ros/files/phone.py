@@ -27,12 +27,12 @@ from magcal_ros.files.recording import Recording, read_header, read_numbers
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 METADATA = "Metadata.csv"
-NAMES = logs.SensorNames(
-    logs.SensorName("phone IMU", "record accelerometer (with gravity) and gyroscope"),
-    logs.SensorName(
-        "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
-    ),
+IMU = "phone IMU", "record accelerometer (with gravity) and gyroscope"
+MAGNETOMETER = (
+    "phone magnetometer",
+    "not every phone has one; record the magnetometer, best uncalibrated",
 )
+"""Names of the sensors, and what to do if one is missing."""
 NO_GYRO = (
     "there is no gyroscope: record it if the phone has one. Without it only a slow turn on the "
     "spot is calibrated"
@@ -82,13 +82,12 @@ def read_phone(path: Path) -> Recording:
     else:
         turns = interpolated(force[:, 0], rate[:, 0], rate[:, 1:4])
         turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
-    tables = logs.LogTables(notes=notes)
+    tables = logs.LogTables(logs.Sensors(*IMU), logs.Sensors(*MAGNETOMETER), notes=notes)
     imu = [force[:, 0], force[:, 1:] @ FLU_FROM_PHONE.T, turns @ FLU_FROM_PHONE.T]
-    tables.imus[0] = np.column_stack(imu)
-    tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
+    tables.imus.rows[0] = np.column_stack(imu)
+    tables.fields.rows[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
     _add_fixes(path, headers, tables)
-    recording = logs.recording_of(path, tables, NAMES)
-    return replace(recording, imu_topic=NAMES.imu.name, field_topic=NAMES.field.name)
+    return replace(tables.recording(path), imu_topic=IMU[0], field_topic=MAGNETOMETER[0])
 
 
 def _headers(path: Path) -> dict[str, list[str]]:
@@ -185,9 +184,11 @@ def _add_fixes(path: Path, headers: dict[str, list[str]], tables: logs.LogTables
         for stamp, latitude, longitude, *motion in read_numbers(
             path / name, columns, second
         ).tolist():
-            tables.fixes.append(Fix(True, latitude, longitude, math.nan, stamp))
-            if moving and min(motion) >= 0.0:  # negative or NaN: unknown
-                tables.velocities.append(logs.velocity(stamp, motion[0], math.radians(motion[1])))
+            # A negative speed or course is unknown.
+            is_known = moving and min(motion) >= 0.0
+            over_ground, bearing = motion if is_known else (math.nan, math.nan)
+            fix = Fix(True, latitude, longitude, math.nan, stamp)
+            tables.take_fix(fix, over_ground, math.radians(bearing))
         return
 
 

@@ -48,10 +48,10 @@ SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status
 
 Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
-NAMES = logs.SensorNames(
-    logs.SensorName("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
-    logs.SensorName("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
-)
+IMU = "sensor_combined", "set SDLOG_PROFILE to its default and record again"
+MAGNETOMETER = "sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"
+"""Names of the sensors, and what to do if one is missing."""
+
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
     *((180, 0, 45 * k) for k in range(4)), (0, 180, 0), *((180, 0, 45 * k) for k in range(5, 8)),
@@ -80,7 +80,7 @@ def read_px4(
     deadline = logs.Deadline(path, progress)
     with logs.without_output(path, deadline), _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
-    return logs.recording_of(path, tables, NAMES, imu, mag)
+    return tables.recording(path, imu, mag)
 
 
 class _LimitedFile(io.BufferedReader):
@@ -147,16 +147,16 @@ def _tables(log: Any) -> logs.LogTables:
     is_settled = not any(name.startswith("CAL_MAG") for name in changes)
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
     shift = _epoch(data.get(("vehicle_gps_position", 0), {}))
-    tables = logs.LogTables()
+    tables = logs.LogTables(logs.Sensors(*IMU), logs.Sensors(*MAGNETOMETER))
     for (name, number), topic in data.items():
         stamps = 1e-6 * topic["timestamp"] + shift
         if name == "sensor_combined":
             force = _vectors(topic, "accelerometer_m_s2") * logs.FLU_FROM_FRD
             rate = _vectors(topic, "gyro_rad") * logs.FLU_FROM_FRD
-            tables.imus[number] = np.column_stack([stamps, force, rate])
+            tables.imus.rows[number] = np.column_stack([stamps, force, rate])
             if "magnetometer_ga[0]" in topic:  # releases before 1.9
                 field = _vectors(topic, "magnetometer_ga") * logs.FLU_FROM_FRD * TESLA
-                tables.fields.setdefault(0, np.column_stack([stamps, field]))
+                tables.fields.rows.setdefault(0, np.column_stack([stamps, field]))
         elif name == "vehicle_attitude":
             w, x, y, z = (topic[f"q[{k}]"] for k in range(4))
             yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -168,10 +168,10 @@ def _tables(log: Any) -> logs.LogTables:
         for number in range(MOST_SENSORS)
         if (words := _take_field(tables, data, number, parameters, shift, is_settled))
     ]
-    if refused and not tables.fields:
+    if refused and not tables.fields.rows:
         raise FileError(refused[0])
     tables.notes += [f"left out: {words}" for words in refused]
-    tables.field_order = _order(data, parameters)
+    _sort(tables.fields, data, parameters)
     return tables
 
 
@@ -202,7 +202,7 @@ def _take_field(
     try:
         pose, name = _pose(slot, parameters)
     except FileError as problem:
-        return f"{NAMES.field.name}[{number}]: {problem}"
+        return f"{tables.fields.called(number)}: {problem}"
     if topic is raw:
         field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:
@@ -211,10 +211,10 @@ def _take_field(
         inner = (_vectors(topic, "magnetometer_ga") + bias) @ pose
         field = (np.linalg.solve(matrix, inner.T).T + offset) @ pose.T
     stamps = 1e-6 * topic["timestamp"] + shift
-    tables.fields[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
-    tables.frames[number] = f"px4_mag{0 if slot is None else slot}_{name}"
+    tables.fields.rows[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
+    tables.fields.frames[number] = f"px4_mag{0 if slot is None else slot}_{name}"
     if has_power:
-        tables.field_notes[number] = [
+        tables.fields.notes[number] = [
             "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field "
             "only: set it to 0 together with the exported numbers, or log vehicle_magnetometer"
             if topic is raw
@@ -226,8 +226,8 @@ def _take_field(
     return ""
 
 
-def _order(data: Topics, parameters: Mapping[str, float]) -> logs.Order:
-    """Return the order of the magnetometers: the one PX4 selected, then by CAL_MAGn_PRIO."""
+def _sort(fields: logs.Sensors, data: Topics, parameters: Mapping[str, float]) -> None:
+    """Put the magnetometers in order: the one PX4 selected, then by CAL_MAGn_PRIO."""
     choices = [data[name, 0] for name in SELECTIONS if (name, 0) in data]
     named = [logs.most_common(each.get("mag_device_id", np.zeros(1))) for each in choices]
     selected = next((device for device in named if device), 0)
@@ -243,11 +243,11 @@ def _order(data: Topics, parameters: Mapping[str, float]) -> logs.Order:
         priority = parameters.get(f"CAL_MAG{slot}_PRIO", DEFAULT_PRIORITY)
         return devices[number] != selected, -priority, number
 
-    numbers = tuple(sorted(devices, key=rank))
-    if numbers and selected and devices[numbers[0]] == selected:
-        return logs.Order(numbers, "which PX4 selected")
-    is_said = any(name.endswith("_PRIO") for name in parameters)
-    return logs.Order(numbers, "the first by CAL_MAG_PRIO" if is_said else "")
+    fields.order = sorted(devices, key=rank)
+    if fields.order and selected and devices[fields.order[0]] == selected:
+        fields.reason = "which PX4 selected"
+    elif any(name.endswith("_PRIO") for name in parameters):
+        fields.reason = "the first by CAL_MAG_PRIO"
 
 
 def _slot(device: int, parameters: Mapping[str, float]) -> int | None:

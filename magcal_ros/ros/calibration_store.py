@@ -76,9 +76,7 @@ class CalibrationStore:
         self._last_read: tuple[object, LoadedCalibration] | None = None
         self._is_reading = False
         self._found: OrderedDict[str, LoadedCalibration | None] = OrderedDict()
-        self._used: Path | None = None
-        self._dismissed: Path | None = None
-        self._resets = 0
+        self._loads_files = True  # without a call of ~/load
 
     def put_in_force(self, calibration: Calibration, origin: Origin) -> None:
         """Use a calibration from now on."""
@@ -211,10 +209,8 @@ class CalibrationStore:
             self._check_sensor(frame)
 
     def forget(self) -> None:
-        """Discard all calibrations that were read or are being read."""
-        self._found = OrderedDict.fromkeys(self._found)
-        self._dismissed = self._used
-        self._resets += 1
+        """From now on, load a file only on request."""
+        self._loads_files = False
 
     def _path(self, frame: str, chosen: str | None = None) -> Path:
         """Return the chosen file, or the default one of this node and sensor."""
@@ -229,8 +225,9 @@ class CalibrationStore:
 
     def _read_next(self) -> None:
         """Read the file of the present sensor once, after the running read has ended."""
-        frame, chosen, resets = self._frame, self._chosen(), self._resets
-        if self._is_reading or self.calibration is not None or frame in self._found:
+        frame, chosen = self._frame, self._chosen()
+        is_known = self.calibration is not None or frame in self._found
+        if self._is_reading or is_known or not self._loads_files:
             return
         self._is_reading = True
         self._remember(frame)
@@ -248,7 +245,7 @@ class CalibrationStore:
             if isinstance(found, Exception):
                 self.problem = str(found)
                 self._log.error(f"{found} Running uncalibrated.")
-            elif resets == self._resets:
+            else:
                 if found is None and not frame and chosen:
                     # Only at the start: a path that is set later is not revealed to the network.
                     self._log.warning(
@@ -265,12 +262,8 @@ class CalibrationStore:
         self._files.run(read_if_there, done, done)
 
     def _use_found(self, loaded: LoadedCalibration | None) -> None:
-        if loaded is None or self.calibration is not None:
+        if loaded is None or self.calibration is not None or not self._loads_files:
             return
-        # After a reset, a chosen file is not loaded again for a sensor that is heard later.
-        if loaded.path == self._dismissed:
-            return
-        self._used = loaded.path
         words = self.use(loaded)
         # The first log line of a process takes rclpy some 30 ms, so a background thread writes it.
         self._files.run(lambda: self._log.info(words), lambda _: None, lambda _: None)

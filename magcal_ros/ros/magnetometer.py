@@ -17,7 +17,6 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.monitor import CalibrationMonitor
-from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
@@ -79,7 +78,7 @@ class Magnetometer:
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
         self.store = CalibrationStore(name, *kept)
-        self.control = Control(streams, self, owner, robot, pipeline.fits, pipeline.files)
+        self.control = Control(streams, self, owner, pipeline, robot)
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
@@ -106,8 +105,8 @@ class Magnetometer:
         return self.control.start(settings, gyro)
 
     @property
-    def accept(self) -> Callable[[Tell], None] | None:
-        """A function that puts the last fit in force; None if the user cannot accept it."""
+    def acceptable(self) -> Calibration | str | None:
+        """The last fit, or why it must not be put in force; None if there is none to accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
         found = None if outcome is None else outcome.calibration
         if outcome is None or found is None:
@@ -115,14 +114,8 @@ class Magnetometer:
         if self.number != FIRST and (outcome.verdict.accepted or turn.outcome_is_of_others):
             return None
         if turn.outcome_is_of_others:
-            words = "the last fit is of sensors other than the present ones"
-            return lambda tell: tell(tm.Conclusion(False, words))
-
-        def put_in_force(tell: Tell) -> None:
-            self.reporter.put_in_force()
-            self.use(found.accepted_by_person(), tell)
-
-        return put_in_force
+            return "the last fit is of sensors other than the present ones"
+        return found
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Put a calibration in force and save it; a success only if it is saved."""
@@ -146,15 +139,6 @@ class Magnetometer:
         """Return which sensor is missing, and what to check."""
         complaints = self.inputs.complaints()
         return "; ".join(complaints) or "no new pair of field and acceleration samples has come"
-
-    def wheel_speed(self, stamp: float) -> float:
-        """Return the speed of the wheels, m/s; NaN without a measurement near a stamp, seconds."""
-        return self._pipeline.travel.estimator.wheel_speed(stamp)
-
-    @property
-    def currents(self) -> Messages:
-        """The battery's newest message, if there is one."""
-        return self._pipeline.motors.currents
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self.compass = None if calibration is None else Compass(calibration)
@@ -218,12 +202,11 @@ class Control:
         streams: Streams,
         magnetometer: Magnetometer,
         owner: MagnetometerOwner,
+        pipeline: HeadingPipeline,
         robot: SelfTurn | None,
-        fits: BackgroundThread,
-        files: BackgroundThread,
     ) -> None:
         self._commands_robot = robot is not None
-        self._magnetometer, self._owner, self._fits, self._files = magnetometer, owner, fits, files
+        self._magnetometer, self._owner, self._pipeline = magnetometer, owner, pipeline
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
@@ -246,7 +229,7 @@ class Control:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
             # The worker process is started early; if that fails, the turn ends.
-            self.tell(self._fits.run, self._worker.start, lambda _: None, lambda _: None)
+            self.tell(self._pipeline.fits.run, self._worker.start, lambda _: None, lambda _: None)
         return answer
 
     def add(self, sample: FieldSample) -> None:
@@ -283,14 +266,14 @@ class Control:
     def shut_down(self) -> None:
         """Discard a turn under way; a calibration in force is saved before this returns."""
         if self.turn.state is tm.TurnState.SAVING:
-            self._files.finish_within(SAVING_PATIENCE)
+            self._pipeline.files.finish_within(SAVING_PATIENCE)
         self._worker.end()
 
     def _collect(self) -> None:
         if self.turn.state is tm.TurnState.COLLECTING:
             for pair in self._pairer.take():
-                speed = self._magnetometer.wheel_speed(pair.field.stamp)
-                self.tell(self.turn.take, pair, now(), speed, self._magnetometer.currents)
+                speed = self._pipeline.travel.estimator.wheel_speed(pair.field.stamp)
+                self.tell(self.turn.take, pair, now(), speed, self._pipeline.motors.currents)
 
     def tell(self, happened: Callable[..., T], *facts: Any) -> T:
         """Report an event to the turn, carry out the commands, and return the turn's answer."""
@@ -328,7 +311,7 @@ class Control:
 
     def _preview(self, asked: tm.Preview) -> None:
         known, method = asked.request.knowledge, asked.request.method
-        self._fits.run(
+        self._pipeline.fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
             lambda sigma: self.tell(self.turn.note_preview, asked, sigma, now()),
             # After a failed preview the sigma is unknown; the fit will report the error.
@@ -338,7 +321,7 @@ class Control:
     def _fit(self, asked: tm.FitTurn) -> None:
         request = asked.request
         turn = (asked.kept, asked.window, request.knowledge, request.method, request.accumulate)
-        self._fits.run(
+        self._pipeline.fits.run(
             lambda: self._worker.run(add_turn, *turn),
             lambda found: self.tell(self.turn.note_fit, asked, *found),
             lambda error: self.tell(self.turn.note_failed_fit, asked, in_words(error)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.assessment.grading import shown
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
@@ -26,7 +27,6 @@ from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
-Action = Callable[[], "Conclusion | Awaitable[Conclusion]"]
 
 
 class Magnetometers:
@@ -56,16 +56,18 @@ class Magnetometers:
         """Put the calibrations in the files in force."""
         ask_all({each.topic: each.store.load for each in self.heard}, tell)
 
-    def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
-        """Put the refused or proposed calibrations in force, first a proposal from driving.
+    def accept(
+        self, proposal: Calibration | None, tell: Tell, say: Callable[[str], object]
+    ) -> None:
+        """Put the refused calibrations in force; for the first magnetometer rather a `proposal`.
 
         `say` takes a line for the log on each of them.
         """
         asked: dict[str, Ask] = {}
         for each in self.heard:
-            ask = proposed if proposed is not None and each is self.heard[0] else each.accept
-            if ask is not None:
-                asked[each.topic] = partial(_accept_one, each, ask, say)
+            found = proposal if proposal is not None and each is self.heard[0] else each.acceptable
+            if found is not None:
+                asked[each.topic] = partial(_put_in_force, each, found, found is proposal, say)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
@@ -172,12 +174,15 @@ class Magnetometers:
         asked = {each.topic: each.control.when_done for each in waiting}
         ask_all(asked, listener, of_turns)
 
-    def finish(self) -> Conclusion | None:
-        """End the collection and fit the samples so far; None if fits are running."""
-        collecting = [e for e in self._busy if e.control.turn.state is TurnState.COLLECTING]
-        for each in collecting:
-            each.control.finish()
-        return None if collecting else self.heard[0].control.finish()
+    def finish(self, tell: Tell) -> None:
+        """End the collection, fit the samples so far, and answer with the common conclusion."""
+        if self.state is TurnState.IDLE:
+            tell(self.heard[0].control.finish() or Conclusion(False, ""))
+            return
+        self.when_done(tell)
+        for each in self._busy:
+            if each.control.turn.state is TurnState.COLLECTING:
+                each.control.finish()
 
     def cancel(self) -> Conclusion:
         """Cancel the turns under way; the calibrations in force are kept."""
@@ -194,21 +199,27 @@ class Magnetometers:
             each.control.shut_down()
 
 
-def _accept_one(
-    magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
+def _put_in_force(
+    magnetometer: Magnetometer,
+    found: Calibration | str,
+    is_proposal: bool,
+    say: Callable[[str], object],
+    tell: Tell,
 ) -> None:
-    """Put a calibration in force by `ask`, and log it with `say`."""
-    before = magnetometer.store.calibration
+    """Put a calibration in force and log it with `say`, or answer why it must not be."""
+    if isinstance(found, str):
+        tell(Conclusion(False, found))
+        return
+    if not is_proposal:
+        magnetometer.reporter.put_in_force()
+    sigma, method = math.degrees(known_sigma(found)), printable(found.evidence.method)
+    words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
 
     def note(conclusion: Conclusion) -> None:
-        now = magnetometer.store.calibration
-        if now is not None and now is not before:
-            sigma, method = math.degrees(known_sigma(now)), printable(now.evidence.method)
-            words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
-            say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
+        say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
         tell(conclusion)
 
-    ask(note)
+    magnetometer.use(found.accepted_by_person(), note)
 
 
 def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
@@ -254,70 +265,42 @@ CALLS = QoSProfile(depth=100)
 """With the default depth of 10, many calls at once would overwrite each other in the queue."""
 
 
-class Services:
-    """Offers the services.
+def at_once(act: Callable[[], Conclusion]) -> Ask:
+    """Return a service that answers immediately."""
+    return lambda tell: tell(act())
 
-    `short` services, which include `start`, answer at once; `slow` services answer when they are
-    done. `note` takes each error in a service; the caller receives the error as well.
+
+def offer_services(
+    node: Node, services: Mapping[str, Ask], note: Callable[[Exception], object]
+) -> None:
+    """Offer services, which answer as soon as their function has told its conclusion.
+
+    `note` takes each error in a service; the caller receives the error as well.
     """
+    # A waiting coroutine blocks its callback group, so the services have their own group. It is
+    # reentrant, so that a second call can be refused with the reason.
+    waiting = ReentrantCallbackGroup()
 
-    def __init__(
-        self,
-        node: Node,
-        turns: Magnetometers,
-        short: Mapping[str, Callable[[], Conclusion]],
-        slow: Mapping[str, Ask],
-        note: Callable[[Exception], object],
-    ) -> None:
-        self._node, self._turns, self._note = node, turns, note
-        self._start = short["start"]
-        # A waiting coroutine blocks its callback group, so the services have their own group. It is
-        # reentrant, so that a second call can be refused with the reason.
-        waiting = ReentrantCallbackGroup()
-        actions: dict[str, Action] = {"calibrate": self._calibrate, "finish": self._finish, **short}
-        actions |= {name: partial(self._told, ask) for name, ask in slow.items()}
-        for name, action in actions.items():
-            node.create_service(
-                Trigger,
-                f"~/{name}",
-                self._answer(action),
-                qos_profile=CALLS,
-                callback_group=waiting,
-            )
-
-    async def _calibrate(self) -> Conclusion:
-        opened = self._start()
-        return await self._told(self._turns.when_done) if opened.success else opened
-
-    async def _finish(self) -> Conclusion:
-        if self._turns.state is TurnState.IDLE:
-            return self._turns.finish() or Conclusion(False, "")
-
-        def ask(tell: Tell) -> None:
-            self._turns.when_done(tell)
-            self._turns.finish()
-
-        return await self._told(ask)
-
-    async def _told(self, ask: Ask) -> Conclusion:
-        """Ask, and wait for the answer."""
-        future: Future = Future(executor=self._node.executor)
+    async def answer(ask: Ask, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        future: Future = Future(executor=node.executor)
         # Before 2026, rclpy wakes for the callback of a future, but not for a coroutine that
         # awaits it.
         future.add_done_callback(lambda _: None)
-        ask(future.set_result)
-        return await future
+        try:
+            ask(future.set_result)
+            conclusion = await future
+        except Exception as error:  # any error: the caller must be answered
+            note(error)
+            words = f"an error in the node: {error}; see the node's log"
+            conclusion = Conclusion(False, words)
+        response.success, response.message = conclusion.success, conclusion.message
+        return response
 
-    def _answer(self, action: Action) -> Callable[[Any, Any], Any]:
-        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                found = action()
-                conclusion = found if isinstance(found, Conclusion) else await found
-            except Exception as error:  # any error: the caller must be answered
-                self._note(error)
-                words = f"an error in the node: {error}; see the node's log"
-                conclusion = Conclusion(False, words)
-            response.success, response.message = conclusion.success, conclusion.message
-            return response
-
-        return answer
+    for name, ask in services.items():
+        node.create_service(
+            Trigger,
+            f"~/{name}",
+            partial(answer, ask),
+            qos_profile=CALLS,
+            callback_group=waiting,
+        )

@@ -12,15 +12,16 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import DropReason, FieldSample
+from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
+from magcal_ros.ros.magnetometers import Ask, Magnetometers, at_once, offer_services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
@@ -52,6 +53,7 @@ class Calibrator(Node):
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
         self._control, self._store = first.control, first.store
+        self._pairer = Pairer(self._inputs.streams, counts=False)
         self._self_calibration = SelfCalibrationRunner(self, first)
         self._known = KnownHeadings(first, pipeline)
         self._magnetometers = Magnetometers(first, pipeline.compasses)
@@ -82,14 +84,20 @@ class Calibrator(Node):
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
         say = self.get_logger().info
-        slow: dict[str, Ask] = {
-            "accept": lambda tell: magnetometers.accept(self._self_calibration.accept, tell, say),
+        services: dict[str, Ask] = {
+            "calibrate": self._calibrate,
+            "start": at_once(self._start),
+            "finish": magnetometers.finish,
+            "cancel": at_once(magnetometers.cancel),
+            "reset": at_once(self._reset),
+            "accept": lambda tell: magnetometers.accept(
+                self._self_calibration.machine.proposal, tell, say
+            ),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
         }
-        quick = {"start": self._start, "cancel": magnetometers.cancel, "reset": self._reset}
-        Services(self, magnetometers, quick, slow, self._on_callback_error)
+        offer_services(self, services, self._on_callback_error)
 
     def close(self) -> None:
         """Discard a turn under way; an accepted calibration is on disk already."""
@@ -143,8 +151,11 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._self_calibration.on_field(at_rest, self._travel)
-            self._known.on_field(at_rest)
+            self._known.antenna.on_field(at_rest)
+            self._pairer.offer(at_rest)
+            for pair in self._pairer.take():
+                self._self_calibration.add(pair, self._travel.estimator.speed)
+                self._known.add(pair)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Note the first message of a sensor, or a new frame."""
@@ -169,6 +180,13 @@ class Calibrator(Node):
                 self._look.reset()
             self._publish_status()
         return opened
+
+    def _calibrate(self, tell: Tell) -> None:
+        opened = self._start()
+        if opened.success:
+            self._magnetometers.when_done(tell)
+        else:
+            tell(opened)
 
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Use the new calibration in force for the heading."""

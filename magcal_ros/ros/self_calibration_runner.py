@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +12,13 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.samples.streams import FieldSample, Pairer
+from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
-from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
-from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
@@ -38,7 +34,6 @@ class SelfCalibrationRunner:
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
         self.machine = SelfCalibration()
-        self._pairer = Pairer(magnetometer.inputs.streams, counts=False)
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
@@ -46,14 +41,10 @@ class SelfCalibrationRunner:
         self.problem = ""  # the failure of the last fit; empty if it succeeded
         self._reports = NO_REPORTS
 
-    def on_field(self, sample: FieldSample, travel: Travel) -> None:
-        """Take a field sample, and the state of the vehicle."""
-        if self.machine.mode is Mode.OFF:
-            return
-        self._pairer.offer(sample)
-        for pair in self._pairer.take():
-            if self.machine.add(pair, travel.estimator.speed):
-                self._look()
+    def add(self, pair: Pair, speed: float) -> None:
+        """Take a field sample with the IMU at its stamp, and the speed of the vehicle, m/s."""
+        if self.machine.mode is not Mode.OFF and self.machine.add(pair, speed):
+            self._look()
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
@@ -65,14 +56,6 @@ class SelfCalibrationRunner:
             self.machine.forget()
         if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()
-
-    @property
-    def accept(self) -> Callable[[Tell], None] | None:
-        """A function that puts the proposal in force; None without a proposal."""
-        proposal = self.machine.proposal
-        if proposal is None:
-            return None
-        return partial(self._magnetometer.use, proposal.accepted_by_person())
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""

@@ -18,7 +18,7 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import (
     ConditionReachedException,
     ShutdownException,
@@ -40,7 +40,7 @@ MOST_AT_ONCE = 16  # messages of one subscription that are taken before other ca
 FOR_EVER = -1
 
 
-class SensorGroup(CallbackGroup):
+class SensorGroup(MutuallyExclusiveCallbackGroup):
     """A callback group that rclpy's executor ignores while a thread of the `Spinner` serves it.
 
     The events of its subscriptions (a publisher of another type) are ignored too, because each
@@ -51,16 +51,9 @@ class SensorGroup(CallbackGroup):
         super().__init__()
         self.is_open = True
 
-    def can_execute(self, _: Any) -> bool:
+    def can_execute(self, entity: Any) -> bool:
         """Whether rclpy's executor may wait for an entity."""
-        return self.is_open
-
-    def beginning_execution(self, _: Any) -> bool:
-        """Whether rclpy's executor may call an entity's callback."""
-        return self.is_open
-
-    def ending_execution(self, _: Any) -> None:
-        """Do nothing, because only one callback runs at a time."""
+        return self.is_open and super().can_execute(entity)
 
 
 class FairLock:

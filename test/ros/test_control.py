@@ -42,6 +42,8 @@ class House:
 
     def __init__(self):
         self.errors, self.reporter = [], self
+        self.fits = self.files = AtOnce()
+        self.travel = self.estimator = self.motors = self
 
     def use(self, _, tell):
         tell(Conclusion(True, "In force."))
@@ -75,7 +77,7 @@ def settings_of_a_turn():
 def begun_in(house):
     """Return the control of an active turn."""
     streams = Streams(0.2)
-    control = Control(streams, house, house, SelfTurn(), AtOnce(), AtOnce())
+    control = Control(streams, house, house, house, SelfTurn())
     assert control.start(settings_of_a_turn()).success
     ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=25.0, steps_per_field=2)
     for _ in range(400):
@@ -176,7 +178,8 @@ def test_a_memory_error_when_the_turn_is_checked(monkeypatch, what):
 
 
 def test_a_turn_that_fails_to_start_is_not_active(monkeypatch):
-    control = Control(Streams(0.2), House(), House(), SelfTurn(), AtOnce(), AtOnce())
+    house = House()
+    control = Control(Streams(0.2), house, house, house, SelfTurn())
     monkeypatch.setattr(Session, "progress", no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.start(settings_of_a_turn())

@@ -31,7 +31,8 @@ class House:
     """The parts of a node that a turn needs."""
 
     def __init__(self):
-        self.reporter = self
+        self.reporter = self.fits = self.files = self
+        self.travel = self.estimator = self.motors = self
 
     def use(self, _, tell):
         tell(Conclusion(True, ""))
@@ -54,7 +55,7 @@ class House:
 def live(samples, knowledge):
     """The result of the node's control with the samples."""
     streams, house = Streams(0.2), House()
-    control = Control(streams, house, house, SelfTurn(), house, house)
+    control = Control(streams, house, house, house, SelfTurn())
     settings = Settings.of({spec.name: spec.default for spec in PARAMETERS})
     assert control.start(dataclasses.replace(settings, knowledge=knowledge)).success
     for sample in samples:

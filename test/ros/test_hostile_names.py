@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 from support import PATIENCE, REFERENCE, calibrate_quickly
 
-from magcal_ros.cli.live_view import progress_of, turns_itself
+from magcal_ros.cli.live_view import progress_of, status_of
 from magcal_ros.files import LONGEST_FRAME, read_calibration, read_samples
 from magcal_ros.report.write import OURS
 from magcal_ros.ros.preflight import SensorTopic, _describe
@@ -116,12 +116,11 @@ def test_the_preflight_prints_a_frame_without_control_characters():
     ],
 )  # fmt: skip
 def test_an_invalid_status_is_ignored(text):
-    assert progress_of(text) is None
-    assert not turns_itself(text)
+    assert progress_of(status_of(text)) is None
 
 
 def test_texts_of_a_status_cannot_control_the_terminal():
     evil = {**PROGRESS, "advice": "\x1b]0;owned\x07[red]", "filled": "#\x1b[2J", "stage": "\r\n"}
-    shown = progress_of(json.dumps({"state": "collecting", "progress": evil}))
+    shown = progress_of({"state": "collecting", "progress": evil})
     assert all(value.isprintable() for value in shown.values() if isinstance(value, str))
-    assert progress_of(json.dumps({"state": "calibrated", "progress": PROGRESS})) is None
+    assert progress_of({"state": "calibrated", "progress": PROGRESS}) is None

@@ -59,12 +59,15 @@ def test_no_private_name_of_the_package_is_one_of_rclpy(kind):
     assert not private_names_on_self(inspect.getsource(kind)) & names_of_rclpy(kind)
 
 
+INHERITED = {"Node", "CallbackGroup", "MutuallyExclusiveCallbackGroup", "Executor"}
+
+
 def test_these_are_all_the_classes_that_inherit_from_rclpy():
     found = set()
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text())):
             bases = node.bases if isinstance(node, ast.ClassDef) else []
-            if {ast.unparse(base) for base in bases} & {"Node", "CallbackGroup", "Executor"}:
+            if {ast.unparse(base) for base in bases} & INHERITED:
                 found.add(node.name)
     assert found == {Calibrator.__name__, SensorGroup.__name__}
 

@@ -149,7 +149,6 @@ class Session:
         self._buffer = np.empty((1024, COLUMNS))
         self._currents: list[tuple[float, float]] = []
         self._size = 0
-        self._turned = self._looked_at = 0.0
         self._sigma, self._seen = math.inf, 0.0
         self.was_set_back = False
 
@@ -173,7 +172,7 @@ class Session:
         if stamp == newest:
             return
         if stamp < newest:
-            self._size, self._turned = 0, 0.0
+            self._size = 0
             self._currents.clear()
             self._sigma, self._seen = math.inf, 0.0
             self.was_set_back = True
@@ -189,14 +188,12 @@ class Session:
         """Take the battery's stamps (s) and currents (A); a repeated message counts once."""
         self._currents += [each for each in messages if each not in self._currents[-1:]]
 
-    def look(self) -> Window:
-        """Return `window` for a predicted heading sigma, which `note_sigma` takes."""
-        self._looked_at = self._turned
-        return self.window()
+    def note_sigma(self, sigma: float, turned: float) -> None:
+        """Take the heading sigma that a fit predicts, and the angle that was turned before it.
 
-    def note_sigma(self, sigma: float) -> None:
-        """Take the heading sigma (radians) that the fit of the last look predicts."""
-        self._sigma, self._seen = sigma, self._looked_at
+        Both are in radians.
+        """
+        self._sigma, self._seen = sigma, abs(turned)
 
     @property
     def covers_whole_turn(self) -> bool:
@@ -208,7 +205,6 @@ class Session:
         rows = self._buffer[: self._size : 1 + self._size // TUNING.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        self._turned = abs(coverage.turned)
         flows = self.has_samples and now - self._last_pair < TUNING.stands_still
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
         if abs(rate) > TUNING.slowest_turn:

@@ -41,6 +41,7 @@ class Preview:
 
     window: Window
     request: TurnRequest
+    turned: float  # radians that the window covers
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +232,8 @@ class TurnMachine:
         waits = progress.coverage.is_complete and not stage.session.covers_whole_turn
         is_due = now > stage.next_preview or waits
         if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
-            window = self.last_window = stage.session.look()
-            asked = Preview(window, stage.request)
+            window = self.last_window = stage.session.window()
+            asked = Preview(window, stage.request, progress.coverage.turned)
             self._stage = replace(stage, asked=asked, asked_at=now)
             self._commands.append(asked)
 
@@ -240,7 +241,7 @@ class TurnMachine:
         """Take the heading sigma (radians) that the fit for a preview predicts."""
         stage = self._stage
         if isinstance(stage, Collecting) and stage.asked is asked:
-            stage.session.note_sigma(sigma)
+            stage.session.note_sigma(sigma, asked.turned)
             pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
             self._stage = replace(stage, asked=None, next_preview=now + pause)
 

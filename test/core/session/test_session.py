@@ -45,7 +45,7 @@ class TestStages:
     def test_a_full_turn_completes_the_session_and_a_shorter_one_does_not(self, gyro, sense):
         window = simulated(gyro=gyro, arc=sense * 400 * DEGREE, samples=800, duration=20.0)
         session, done_at = Session(LIMITS, Mounting(), now=0.0), None
-        session.note_sigma(CERTAIN)
+        session.note_sigma(CERTAIN, 0.0)
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.025 * k)
             if (
@@ -60,9 +60,9 @@ class TestStages:
     def test_a_full_turn_ends_with_the_first_certain_fit(self, sigmas):
         session = session_with(simulated())
         for sigma in sigmas:
-            session.note_sigma(sigma)
+            session.note_sigma(sigma, 0.0)
         assert session.progress(15.0).stage is Stage.COLLECTING
-        session.note_sigma(CERTAIN)
+        session.note_sigma(CERTAIN, 0.0)
         assert session.progress(15.1).stage is Stage.COMPLETE
 
     def test_a_complete_turn_ends_when_the_robot_stands(self):
@@ -85,9 +85,9 @@ class TestStages:
 
     def test_an_uncertain_turn_ends_after_two_rounds(self):
         session = session_with(simulated(arc=710 * DEGREE, samples=900, duration=27.0))
-        assert session.progress(26.9).coverage.is_complete
-        session.look()
-        session.note_sigma(math.radians(2.0))
+        coverage = session.progress(26.9).coverage
+        assert coverage.is_complete
+        session.note_sigma(math.radians(2.0), coverage.turned)
         assert session.progress(27.0).stage is Stage.COLLECTING
         session = session_with(simulated(arc=730 * DEGREE, samples=900, duration=27.0))
         assert session.progress(27.0).stage is Stage.COMPLETE
@@ -107,9 +107,9 @@ class TestStages:
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.025 * k)
             if k == 700:
-                assert session.progress(0.025 * k).stage is Stage.COLLECTING
-                session.look()
-                session.note_sigma(math.radians(sigma))
+                progress = session.progress(0.025 * k)
+                assert progress.stage is Stage.COLLECTING
+                session.note_sigma(math.radians(sigma), progress.coverage.turned)
         assert session.progress(turned / 20.0).stage is stage
 
     def test_three_quarters_of_a_turn_do_not_complete_the_session(self):
