@@ -27,7 +27,7 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
 )
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.self_calibration.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.jobs import SELF_CALIBRATION, Decision, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.core.self_calibration.worker import examine_drive
 
@@ -94,11 +94,7 @@ def replay_drive(
                 continue
             for decision in machine.note(examine_drive(machine.job(knowledge))):
                 decisions.append((last - first, decision))
-                if decision.kind in (
-                    DecisionKind.APPLIED,
-                    DecisionKind.ROLLED_BACK,
-                    DecisionKind.REFINED,
-                ):
+                if decision.is_change:
                     now = decision.calibration
                     machine.put_in_force(now)
     path = None
