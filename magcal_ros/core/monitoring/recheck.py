@@ -35,9 +35,9 @@ from magcal_ros.core.monitoring.change import (
     doubtful,
     fit_harmonics,
     harmonics,
-    rule_of,
+    records_of,
 )
-from magcal_ros.core.samples.coverage import BINS, Coverage
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
@@ -230,27 +230,10 @@ def _records(
         turned = np.where(is_good, integral(window.time, rate), math.nan)
     is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
-    visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
-    sector = np.floor(np.mod(heading, math.tau) * (BINS / math.tau))
-    rows = np.column_stack([path, visit, sector])
-    first = np.append(0, np.flatnonzero(np.diff(rows, axis=0).any(axis=1)) + 1)
-    count = np.diff(np.append(first, len(rows)))
-    turn = np.exp(1j * yaw_from_up_and_field(up, field))
-    rise = np.sum(field * up, axis=1)
-    strength = np.linalg.norm(field, axis=1)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.add.reduceat(values, first) / count
-
-    records = np.column_stack(
-        [
-            mean(window.time),
-            np.angle(mean(turn)),
-            *(mean(each) for each in (strength, rise, turned, path, rate)),
-        ]
-    )
-    # Next to iron, the compass may briefly turn once too often.
-    return np.asarray(records[count >= min(3.0, float(np.median(count)))])
+    strength, rise = np.linalg.norm(field, axis=1), np.sum(field * up, axis=1)
+    yaw = yaw_from_up_and_field(up, field)
+    samples = [window.time, yaw, strength, rise, turned, path, rate]
+    return records_of(np.column_stack(samples), heading)
 
 
 def _figures(
@@ -366,8 +349,6 @@ def _check_iron(share: float, sigma: float, level: float, chance: float) -> Chec
     beyond = share - CHANGE.clearly * sigma
     if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
         return None
-    excess = math.sqrt(max(share**2 - (chance * sigma) ** 2, 0.0))
     size = f"iron added since ({1e6 * share * level:.1f} µT)"
-    words = IRON_BOUND.words.replace("iron added since", size)
-    bound = replace(IRON_BOUND, words=words)
-    return bound.check(share, excess=excess, rule=rule_of(bound))
+    bound = replace(IRON_BOUND, words=IRON_BOUND.words.replace("iron added since", size))
+    return check_beside_chance(bound, share, chance * sigma, decided=True)
