@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
     heading_differences,
@@ -78,15 +79,24 @@ class CandidateKind(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class DriveCandidate:
-    """A calibration fitted to a part of a drive."""
+    """A calibration that may replace the one in force; only data after its end can prove it."""
 
     kind: CandidateKind
     calibration: Calibration
-    sigma: float  # of the heading, radians
-    sectors: int  # of twelve headings driven
     start: float
     end: float
-    """Clock at the start and the end of the data, seconds."""
+    """Clock at the start and the end of the data of the fit, seconds. For an earlier calibration
+    both are the clock at which it was replaced."""
+
+    @property
+    def sigma(self) -> float:
+        """Sigma of the heading by the calibration, radians."""
+        return known_sigma(self.calibration)
+
+    @property
+    def sectors(self) -> int:
+        """Number of headings driven, of twelve."""
+        return round(self.calibration.evidence.figure(Figure.HEADINGS_DRIVEN, 0.0))
 
     @property
     def seconds(self) -> float:
@@ -162,36 +172,9 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-class CalibrationStep(NamedTuple):
-    """A calibration, and the clock from which it corrects the data, seconds."""
-
-    since: float
-    calibration: Calibration
-
-
-class Contest(NamedTuple):
-    """A calibration that is compared with the one in force on data driven after its fit.
-
-    If it is refitted, each step corrects the data after it; data count from the first step on.
-    """
-
-    steps: tuple[CalibrationStep, ...]
-    candidate: DriveCandidate | None = None  # the newest fit; None for an earlier calibration
-
-    @classmethod
-    def of(cls, candidate: DriveCandidate, before: tuple[CalibrationStep, ...] = ()) -> Contest:
-        """Return the contest of a candidate, with its fits before."""
-        return cls((*before, CalibrationStep(candidate.end, candidate.calibration)), candidate)
-
-    @classmethod
-    def of_earlier(cls, since: float, calibration: Calibration) -> Contest:
-        """Return the contest of the calibration that was in force until `since`."""
-        return cls((CalibrationStep(since, calibration),))
-
-    @property
-    def since(self) -> float:
-        """Clock from which data count, seconds."""
-        return self.steps[0].since
+Contests = Mapping[CandidateKind, tuple[DriveCandidate, ...]]
+"""The candidates that are compared with the calibration in force, each with all its fits, the
+newest last. Each fit corrects the data after it; data count from the end of the first one."""
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
@@ -234,7 +217,7 @@ class DriveJob:
     """Seconds of the newest driving to which all twelve numbers are fitted."""
     changed: float = -math.inf
     """Clock of the last proved change, seconds: no fit uses data from before it."""
-    contests: Mapping[CandidateKind, Contest] = field(default_factory=dict)
+    contests: Contests = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

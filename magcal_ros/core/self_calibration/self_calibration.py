@@ -19,7 +19,6 @@ from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
     CandidateKind,
-    Contest,
     Decision,
     DecisionKind,
     DriveCandidate,
@@ -46,7 +45,7 @@ class SelfCalibration:
         self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
         self._in_force: Calibration | None = None
         self._before: Calibration | None = None  # in force before it
-        self._contests: dict[CandidateKind, Contest] = {}
+        self._contests: dict[CandidateKind, tuple[DriveCandidate, ...]] = {}
         self.decisions: deque[Decision] = deque(maxlen=REMEMBERED)  # the oldest first
         self._changed = -math.inf  # clock of the last proved change of the robot
         self._looked = -math.inf
@@ -61,7 +60,8 @@ class SelfCalibration:
             return "off"
         if self.proposal is not None:
             return "a calibration is proposed: call ~/accept to put it in force"
-        probation = [each.candidate.in_words for each in self._contests.values() if each.candidate]
+        contests = self._contests.items()
+        probation = [fits[-1].in_words for kind, fits in contests if kind is not EARLIER]
         if probation:
             return f"on probation: {' and '.join(probation)}"
         if self.recorder.rests:
@@ -110,7 +110,11 @@ class SelfCalibration:
             return
         self._before = old
         if decided and made is not DecisionKind.ROLLED_BACK:
-            self._contests[EARLIER] = Contest.of_earlier(self.recorder.clock, old)
+            self._compare_earlier(old, self.recorder.clock)
+
+    def _compare_earlier(self, calibration: Calibration, since: float) -> None:
+        """Compare an earlier calibration with the one in force, on the data from a clock on."""
+        self._contests[EARLIER] = (DriveCandidate(EARLIER, calibration, since, since),)
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
         """Add a pair, which counts only if its IMU has a rate.
@@ -177,17 +181,16 @@ class SelfCalibration:
         clock = findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
         for candidate in sorted(good, key=lambda each: each.sigma):
-            contest = self._contests.get(ALL)
-            first = None if contest is None else contest.candidate
+            (first,) = self._contests.get(ALL, (None,))
             if first is None:
-                self._contests[ALL] = Contest.of(candidate)
+                self._contests[ALL] = (candidate,)
                 words = f"{candidate.in_words}; a second one that agrees confirms it"
                 return [Decision(clock, DecisionKind.PROBATION, words)]
             if candidate.end - first.end < 0.5 * SELF_CALIBRATION.look_every:
                 continue
             apart = difference(first.calibration, candidate.calibration)
             allowed = SELF_CALIBRATION.differs * math.hypot(first.sigma, candidate.sigma)
-            self._contests[ALL] = Contest.of(candidate)
+            self._contests[ALL] = (candidate,)
             if apart <= allowed:
                 words = (
                     f"{candidate.in_words}: it agrees with the fit before it "
@@ -200,40 +203,37 @@ class SelfCalibration:
         """Put a proved calibration in force, and end contests that last too long."""
         made: list[Decision] = []
         since = findings.since_change
-        for kind, contest in list(self._contests.items()):
+        for kind, fits in list(self._contests.items()):
             if kind is IRON and since is not None and is_another(since, in_force):
-                # The newest fit of the hard iron since the change.
-                contest = self._contests[IRON] = Contest.of(since, contest.steps)
-            ratio = findings.ratios.get(kind)
+                fits = self._contests[IRON] = (*fits, since)
+            ratio, candidate = findings.ratios.get(kind), fits[-1]
             if ratio is None:
                 continue
             why = reason_to_accept(kind, ratio)
-            if why and (contest.candidate is None or self._is_believable(contest.candidate)):
-                return [*made, self._accept(findings.clock, kind, contest, why)]
+            if why and self._is_believable(candidate):
+                return [*made, self._accept(findings.clock, candidate, why)]
             longest = SELF_CALIBRATION.longest_probation
             if kind is EARLIER:
                 longest = SELF_CALIBRATION.longest_trial
-            seconds = findings.clock - contest.since
+            seconds = findings.clock - fits[0].end
             if seconds > longest:
                 del self._contests[kind]
-                made.append(_ended(findings.clock, contest, seconds))
+                made.append(_ended(findings.clock, candidate, seconds))
         return made
 
-    def _accept(self, clock: float, kind: CandidateKind, contest: Contest, why: str) -> Decision:
+    def _accept(self, clock: float, candidate: DriveCandidate, why: str) -> Decision:
         """Put a proved calibration in force, or withdraw the proposal that is worse."""
-        candidate, calibration = contest.candidate, contest.steps[-1].calibration
-        if candidate is not None:
-            if kind is IRON:
-                self._changed = candidate.start
+        if candidate.kind is not ALL:
+            self._changed = candidate.start
+        if candidate.kind is not EARLIER:
             return self._change(clock, candidate.calibration, f"{candidate.in_words}: {why}")
-        self._changed = contest.since
-        if self.proposal is not None and is_same(calibration, self._in_force):
+        if self.proposal is not None and is_same(candidate.calibration, self._in_force):
             self._contests.clear()
             self.proposal = None
             words = f"the proposal is withdrawn, as what is in force is better: {why}"
             return Decision(clock, DecisionKind.DROPPED, words)
         words = f"the earlier calibration was better after all: {why}"
-        return self._change(clock, calibration, words, DecisionKind.ROLLED_BACK)
+        return self._change(clock, candidate.calibration, words, DecisionKind.ROLLED_BACK)
 
     def _refined(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Replace a calibration from driving by a fit to more data of the same drive."""
@@ -268,7 +268,7 @@ class SelfCalibration:
             return [self._change(findings.clock, best.calibration, words)]
         if ALL in self._contests:
             return []
-        self._contests[ALL] = Contest.of(best)
+        self._contests[ALL] = (best,)
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
         return [Decision(findings.clock, DecisionKind.PROBATION, words)]
@@ -282,10 +282,10 @@ class SelfCalibration:
         apart = difference(in_force, since.calibration)
         if apart < SELF_CALIBRATION.notice_differs * sigma:
             return []
-        self._contests[IRON] = Contest.of(since)
+        self._contests[IRON] = (since,)
         if self._before is not None:
             # If the iron is removed again, the calibration before it is valid again.
-            self._contests[EARLIER] = Contest.of_earlier(since.start, self._before)
+            self._compare_earlier(self._before, since.start)
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
@@ -293,6 +293,8 @@ class SelfCalibration:
         return [Decision(findings.clock, DecisionKind.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
+        if candidate.kind is EARLIER:
+            return True
         largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
         if candidate.kind is IRON and self._compared is not None:
             few = SELF_CALIBRATION.fewest_for_iron
@@ -319,7 +321,7 @@ class SelfCalibration:
         if self.mode is Mode.PROPOSE:
             self.proposal, kind = calibration, DecisionKind.PROPOSED
             if self._in_force is not None:
-                self._contests[EARLIER] = Contest.of_earlier(clock, self._in_force)
+                self._compare_earlier(self._in_force, clock)
         return Decision(clock, kind, words, calibration)
 
 
@@ -328,10 +330,10 @@ def _changes(made: list[Decision]) -> bool:
     return bool(made) and made[-1].calibration is not None
 
 
-def _ended(clock: float, contest: Contest, seconds: float) -> Decision:
-    """Return the decision that a calibration was not proved better."""
-    if contest.candidate is None:
+def _ended(clock: float, candidate: DriveCandidate, seconds: float) -> Decision:
+    """Return the decision that a candidate was not proved better."""
+    if candidate.kind is EARLIER:
         words = f"{seconds:.0f} s of road show that no earlier calibration was better"
         return Decision(clock, DecisionKind.CONFIRMED, words)
-    words = f"{contest.candidate.in_words}: not proved better on the road since"
+    words = f"{candidate.in_words}: not proved better on the road since"
     return Decision(clock, DecisionKind.DROPPED, words)

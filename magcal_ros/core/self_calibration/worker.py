@@ -18,7 +18,6 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
-    CalibrationStep,
     CandidateKind,
     DriveCandidate,
     DriveJob,
@@ -43,8 +42,8 @@ def examine_drive(job: DriveJob) -> DriveResult:
     ]
     candidates = tuple(each for each in found if each is not None)
     ratios = {
-        kind: ratio_on_later_data(nodes, job.in_force.correction, contest.steps, job.knowledge)
-        for kind, contest in job.contests.items()
+        kind: ratio_on_later_data(nodes, job.in_force.correction, fits, job.knowledge)
+        for kind, fits in job.contests.items()
         if job.in_force is not None
     }
     return DriveResult(clock, candidates, since_change, ratios)
@@ -80,26 +79,26 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
 
 
 def ratio_on_later_data(
-    nodes: Nodes, old: Correction, new: tuple[CalibrationStep, ...], knowledge: Knowledge
+    nodes: Nodes, old: Correction, new: tuple[DriveCandidate, ...], knowledge: Knowledge
 ) -> drives.LikelihoodRatio:
     """Return the log likelihood ratio of a new calibration and an old one on held-out data.
 
     If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
     Dawid, 1984), so that all data since the first fit count.
     """
-    road = nodes.between(new[0].since)
+    road = nodes.between(new[0].end)
     if len(road) < 4:
         return drives.LikelihoodRatio()
     before = drives.corrected(road, old, knowledge.mounting.matrix)
     return drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
 
 
-def _read(nodes: Nodes, steps: tuple[CalibrationStep, ...], knowledge: Knowledge) -> Nodes:
-    """Return the nodes, each corrected by the step of its time."""
+def _read(nodes: Nodes, fits: tuple[DriveCandidate, ...], knowledge: Knowledge) -> Nodes:
+    """Return the nodes, each corrected by the newest fit before it."""
     field = nodes.field.copy()
-    for since, calibration in steps:
-        later = nodes.time > since
-        read = drives.corrected(nodes, calibration.correction, knowledge.mounting.matrix)
+    for fit in fits:
+        later = nodes.time > fit.end
+        read = drives.corrected(nodes, fit.calibration.correction, knowledge.mounting.matrix)
         field[later] = read.field[later]
     return replace(nodes, field=field)
 
@@ -151,4 +150,4 @@ def candidate_of(
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
     evidence = calibration.evidence.made_with(reference)
     calibration = replace(calibration, evidence=evidence)
-    return DriveCandidate(kind, calibration, sigma, fitted.sectors, start, end)
+    return DriveCandidate(kind, calibration, start, end)

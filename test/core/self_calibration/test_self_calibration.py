@@ -1,6 +1,5 @@
 """Self-calibration: candidates, probation, the calibration in force, and its return."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -59,9 +58,10 @@ def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_l
     )
 
 
-def candidate(iron, end, kind=CandidateKind.ALL, sigma=math.radians(2.0), sectors=9):
+def candidate(iron, end, kind=CandidateKind.ALL, sigma=math.radians(2.0), sectors=9, seconds=120.0):
     found = calibration(iron, sigma, "smoother")
-    return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
+    found.evidence.figures.update(headings_driven=float(sectors), heading_sigma=sigma)
+    return DriveCandidate(kind, found, end - seconds, end)
 
 
 def findings(clock, *candidates, since=None, **ratios):
@@ -151,8 +151,8 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     )
     assert keeper.note(findings(120.0, since=first)) == [DecisionKind.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
-    (contest,) = keeper.machine.job(BOSTON).contests.values()
-    assert [step.since for step in contest.steps] == [120.0, 140.0]
+    (fits,) = keeper.machine.job(BOSTON).contests.values()
+    assert [fit.end for fit in fits] == [120.0, 140.0]
     keeper.machine.fail()
     assert keeper.note(findings(160.0, iron=PROVED)) == [DecisionKind.APPLIED]
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
@@ -176,7 +176,7 @@ def test_removed_iron_restores_the_previous_calibration():
     keeper.note(findings(460.0, earlier=ratio(0.0)))
     went = candidate((0.5e-6, 0.0, 0.0), 900.0, CandidateKind.IRON)
     assert keeper.note(findings(900.0, since=went)) == [DecisionKind.NOTICED]
-    assert keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER].since == went.start
+    assert keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER][0].end == went.start
     keeper.machine.fail()
     assert keeper.note(findings(910.0, earlier=PROVED)) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
@@ -186,7 +186,6 @@ def test_removed_iron_restores_the_previous_calibration():
 def test_a_proposal_is_made_once():
     keeper = CalibrationStore(calibration(), Mode.PROPOSE)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
-    came.calibration.evidence.figures["heading_sigma"] = came.sigma
     keeper.note(findings(120.0, since=came))
     assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [DecisionKind.PROPOSED]
     assert keeper.note(findings(160.0, since=came)) == []
@@ -221,8 +220,8 @@ def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    (step,) = keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER].steps
-    assert step.calibration is old
+    (earlier,) = keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER]
+    assert earlier.calibration is old
     keeper.machine.fail()
     assert keeper.note(findings(260.0, earlier=PROVED)) == [DecisionKind.DROPPED]
     assert keeper.machine.proposal is None
@@ -230,10 +229,7 @@ def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
 
 
 def sized(iron, end, sigma_deg, seconds=120.0):
-    """A candidate with its sigma in its report, as of a fit."""
-    found = candidate(iron, end, sigma=math.radians(sigma_deg))
-    found.calibration.evidence.figures["heading_sigma"] = found.sigma
-    return dataclasses.replace(found, start=end - seconds)
+    return candidate(iron, end, sigma=math.radians(sigma_deg), seconds=seconds)
 
 
 def test_a_much_more_certain_candidate_that_agrees_is_used():

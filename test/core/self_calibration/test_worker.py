@@ -17,7 +17,6 @@ from magcal_ros.core.earth_field import made_elsewhere
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.self_calibration import (
-    CalibrationStep,
     CandidateKind,
     DriveJob,
     examine_drive,
@@ -45,8 +44,8 @@ def driven(**options):
 
 
 def step(since, correction):
-    """Return from when data are corrected by a correction."""
-    return CalibrationStep(since, SimpleNamespace(correction=correction))
+    """A fit that corrects the data after its end."""
+    return SimpleNamespace(end=since, calibration=SimpleNamespace(correction=correction))
 
 
 def proved(road, *steps, old=OLD):
