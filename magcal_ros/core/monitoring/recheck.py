@@ -147,7 +147,7 @@ class Recheck:
 
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
     """Test a calibration by a new turn; `drive` separates added iron from local disturbances."""
-    up = up_of(window)
+    up = propagated_up(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
     corrected = _records(window, up, heading, calibration.correction)
     raw = _records(window, up, heading, Correction.identity())
@@ -313,15 +313,6 @@ def expected_field(
     """Return the field (n, 3) of given strength and inclination at the heading of `field`."""
     level = unit(level_part(field, up))
     return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
-
-
-def up_of(window: Window) -> FloatArray:
-    """Return up at each sample, propagated by the gyro between gaps."""
-    if window.angular_rate is None:
-        return unit(window.specific_force)
-    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_field_gap)
-    pieces = np.split(np.arange(len(window)), gaps + 1)
-    return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
 def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
