@@ -121,8 +121,7 @@ class Recheck:
     verdict: Verdict
     """Quality is whether the calibration holds, confidence how much of it was tested."""
     estimate: Estimate  # the old calibration with the residuals of the new samples, for a report
-    slopes: str = ""
-    """Why the calibration's file does not show the heading on slopes; empty if it does."""
+    sentence: str = ""  # the state in words, and where it holds
 
     @property
     def findings(self) -> tuple[Check, ...]:
@@ -138,11 +137,6 @@ class Recheck:
     def state(self) -> str:
         """One of `STATES`."""
         return STATES[self.verdict.quality]
-
-    @property
-    def sentence(self) -> str:
-        """The state, and where it holds."""
-        return sentence_of(self.state, self.slopes)
 
 
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
@@ -179,13 +173,15 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
-    slopes = slopes_of(calibration)
+    slopes = _slopes_of(calibration)
     verdict = Verdict(tuple(checks), not_shown + ((slopes,) if slopes else ()))
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
-    return Recheck(replace(verdict, says=_summary(verdict, slopes)), estimate, slopes)
+    state = STATES[verdict.quality]
+    sentence = SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
+    return Recheck(replace(verdict, says=_summary(verdict, sentence)), estimate, sentence)
 
 
-def slopes_of(calibration: Calibration) -> str:
+def _slopes_of(calibration: Calibration) -> str:
     """Return why a calibration's file does not show the heading on slopes; empty if it does."""
     unseen = calibration.evidence.not_shown
     level, tilted = calibration_sigma(calibration), calibration_sigma(calibration, CHECKED_TILT)
@@ -199,11 +195,6 @@ def slopes_of(calibration: Calibration) -> str:
         f"along the vertical axis is uncertain, and the heading error is {error}; give the "
         "position when you calibrate again, or turn on ramps"
     )
-
-
-def sentence_of(state: str, slopes: str) -> str:
-    """Return a state in words; `slopes` is empty if the calibration shows them."""
-    return SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
 
 
 def _own(figure: Figure, calibration: Calibration) -> float:
@@ -272,14 +263,14 @@ def _figures(
     return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
 
 
-def _summary(verdict: Verdict, slopes: str) -> str:
-    """Return the state, and the findings against the calibration."""
+def _summary(verdict: Verdict, sentence: str) -> str:
+    """Return the sentence on the state, and the findings against the calibration."""
     state = STATES[verdict.quality]
     if state == "holds":
-        return f"{sentence_of(state, slopes)}."
+        return f"{sentence}."
     causes = (c for c in verdict.checks if c.aspect is Aspect.QUALITY)
     words = "; ".join(c.words for c in causes if STATES[c.grade] == state)
-    return f"{SENTENCES[state]}: {words}."
+    return f"{sentence}: {words}."
 
 
 def _on_fresh_samples(
