@@ -36,8 +36,8 @@ def test_a_stale_calibration_is_reported_until_a_new_one(scene, ros_home):
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
     assert said().level == DiagnosticStatus.OK
-    robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._records) > 3)
-    assert len(node._first.monitor._records) > 3, "field messages reach the watch"
+    robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._samples) > 3)
+    assert len(node._first.monitor._samples) > 3, "field messages reach the watch"
     node._first.monitor.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
     wait_for("has not held for about 4 min")
     assert said().level == DiagnosticStatus.WARN

@@ -101,7 +101,7 @@ class TestInTheNode:
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
         runner.machine.job(house._first.drive_knowledge())
-        runner._note(DriveResult(0.0, (), None, None, {}))
+        runner._note(DriveResult(0.0))
         assert monitor_diagnostic(None, runner).level == DiagnosticStatus.OK
         assert runner.facts()["fits_lost"] == 1
 

@@ -27,7 +27,7 @@ from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
-from magcal_ros.core.samples.coverage import COVERAGE, Coverage
+from magcal_ros.core.samples.coverage import BINS, COVERAGE, Coverage
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,12 @@ GYRO_BOUND = Bound(
 )
 ROUNDS = 8
 """Of reweighting."""
+SECTOR = math.tau / BINS  # radians of heading of one visit
 ONCE, TWICE = slice(1, 3), slice(3, 5)  # columns of the first and the second harmonic
 
 
 class Record(NamedTuple):
-    """One visit to a heading."""
+    """One visit to a heading, or one sample."""
 
     stamp: float  # seconds
     yaw: float  # by the compass, radians
@@ -75,6 +76,22 @@ class Record(NamedTuple):
     turned: float  # by the gyro since its path began, radians; NaN without one
     path: int  # its number
     rate: float  # of yaw, rad/s
+
+
+def records_of(samples: FloatArray, heading: FloatArray) -> FloatArray:
+    """Return one record of each visit to a sector of heading, shape (k, 7).
+
+    The samples (n, 7) have the columns of `Record`. `heading` (n,) decides on the visits, radians.
+    """
+    visit = np.floor((samples[:, 0] - samples[0, 0]) / CHANGE.longest_visit)
+    sector = np.floor(np.mod(heading, math.tau) / SECTOR)
+    rows = np.column_stack([samples[:, 5], visit, sector])
+    first = np.append(0, np.flatnonzero(np.diff(rows, axis=0).any(axis=1)) + 1)
+    count = np.diff(np.append(first, len(rows)))
+    records = np.add.reduceat(samples, first) / count[:, None]
+    records[:, 1] = np.angle(np.add.reduceat(np.exp(1j * samples[:, 1]), first))
+    # Next to iron, the compass may briefly turn once too often.
+    return np.asarray(records[count >= min(3.0, float(np.median(count)))])
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,12 +25,14 @@ from magcal_ros.core.monitoring.change import (
     CHANGE,
     GYRO_BOUND,
     ONCE,
+    SECTOR,
     TWICE,
     Record,
     check_beside_chance,
     compass_minus_gyro,
     fit_harmonics,
     harmonics,
+    records_of,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
@@ -85,7 +87,6 @@ class MonitorTuning:
 
     memory: float = 600.0  # seconds of driving that are used
     most_records: int = 400  # visits that are kept at most
-    turned: float = math.radians(12.0)  # radians of turning that end a visit
     most_in_a_row: int = 3  # records of one heading; the next one replaces the last
     look_every: float = 15.0  # seconds between two tests
     confirm: float = 60.0  # seconds for which every test must agree before the state changes
@@ -241,7 +242,7 @@ class CalibrationMonitor:
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
         self._records: deque[Record] = deque(maxlen=MONITOR.most_records)
-        self._visit: list[Record] = []
+        self._samples: list[Record] = []
         self._newest = -math.inf
         self._rate = math.nan
         self._turned = 0.0
@@ -257,57 +258,36 @@ class CalibrationMonitor:
         stamp, field, seen, heading, rate = reading
         if seen is None or heading is None or rate is None:
             return
-        up, yaw = seen.direction, heading.yaw
+        up = seen.direction
         self._propagate(stamp, dot(rate, up))
         if up[0] ** 2 > CHANGE.steepest_nose:
-            self._close()
             return
-        if self._visit:
-            first = self._visit[0]
-            turned = wrapped(yaw - first.yaw)
-            has_turned = max(abs(turned), abs(self._turned - first.turned)) > MONITOR.turned
-            if has_turned or stamp - first.stamp > CHANGE.longest_visit:
-                self._close()
-            else:
-                yaw = first.yaw + turned
         turn = self._rate if math.isfinite(self._rate) else 0.0
-        row = Record(stamp, yaw, length(field), dot(field, up), self._turned, self._path, turn)
-        self._visit.append(row)
+        values = heading.yaw, length(field), dot(field, up), self._turned, self._path, turn
+        self._samples.append(Record(stamp, *values))
+        if stamp - self._looked >= MONITOR.look_every:
+            self._look(stamp)
 
     def _propagate(self, stamp: float, rate: float) -> None:
         """Integrate the gyro; a gap starts another path, and a jump of time clears the records."""
         step = stamp - self._newest
         if not 0.0 <= step <= MONITOR.memory:
             self._records.clear()
+            self._samples.clear()
             self._looked = -math.inf
             self._contradicted = None
             if math.isfinite(step):
                 self._stale_since += step
         if not 0.0 <= step <= STREAMS.longest_gyro_step:
             self._path += 1
-            self._visit.clear()
         elif math.isfinite(rate + self._rate):
             self._turned += 0.5 * step * (rate + self._rate)
         self._newest, self._rate = stamp, rate
 
-    def _close(self) -> None:
-        """Make one record of a visit, and test all records if that is due."""
-        if not self._visit:
-            return
-        rows = np.array(self._visit)
-        self._visit.clear()
-        stamp, yaw, strength, rise, turned, path, rate = np.median(rows, axis=0).tolist()
-        record = Record(stamp, yaw, strength, rise, turned, int(path), rate)
-        self._keep(record)
-        if record.stamp - self._looked >= MONITOR.look_every:
-            self._looked = record.stamp
-            self._look(record.stamp)
-
     def _keep(self, record: Record) -> None:
         records = self._records
         stays = [
-            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned))
-            < MONITOR.turned
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < SECTOR
             for one in list(records)[-MONITOR.most_in_a_row :]
         ]
         if len(stays) == MONITOR.most_in_a_row and all(stays):
@@ -317,6 +297,12 @@ class CalibrationMonitor:
             records.popleft()
 
     def _look(self, now: float) -> None:
+        """Add the visits since the last test, and test all records."""
+        samples = np.array(self._samples)
+        self._samples.clear()
+        self._looked = now
+        for row in records_of(samples, samples[:, 1]).tolist():
+            self._keep(Record(*row))
         records: FloatArray = np.array(self._records)
         # The newest half shows a change sooner; all records show a smaller one.
         late = records[records[:, 0] > now - 0.5 * MONITOR.memory]

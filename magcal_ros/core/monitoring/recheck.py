@@ -35,9 +35,9 @@ from magcal_ros.core.monitoring.change import (
     doubtful,
     fit_harmonics,
     harmonics,
-    rule_of,
+    records_of,
 )
-from magcal_ros.core.samples.coverage import BINS, Coverage
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
@@ -121,8 +121,7 @@ class Recheck:
     verdict: Verdict
     """Quality is whether the calibration holds, confidence how much of it was tested."""
     estimate: Estimate  # the old calibration with the residuals of the new samples, for a report
-    slopes: str = ""
-    """Why the calibration's file does not show the heading on slopes; empty if it does."""
+    sentence: str = ""  # the state in words, and where it holds
 
     @property
     def findings(self) -> tuple[Check, ...]:
@@ -139,15 +138,10 @@ class Recheck:
         """One of `STATES`."""
         return STATES[self.verdict.quality]
 
-    @property
-    def sentence(self) -> str:
-        """The state, and where it holds."""
-        return sentence_of(self.state, self.slopes)
-
 
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
     """Test a calibration by a new turn; `drive` separates added iron from local disturbances."""
-    up = up_of(window)
+    up = propagated_up(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
     corrected = _records(window, up, heading, calibration.correction)
     raw = _records(window, up, heading, Correction.identity())
@@ -179,13 +173,15 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
-    slopes = slopes_of(calibration)
+    slopes = _slopes_of(calibration)
     verdict = Verdict(tuple(checks), not_shown + ((slopes,) if slopes else ()))
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
-    return Recheck(replace(verdict, says=_summary(verdict, slopes)), estimate, slopes)
+    state = STATES[verdict.quality]
+    sentence = SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
+    return Recheck(replace(verdict, says=_summary(verdict, sentence)), estimate, sentence)
 
 
-def slopes_of(calibration: Calibration) -> str:
+def _slopes_of(calibration: Calibration) -> str:
     """Return why a calibration's file does not show the heading on slopes; empty if it does."""
     unseen = calibration.evidence.not_shown
     level, tilted = calibration_sigma(calibration), calibration_sigma(calibration, CHECKED_TILT)
@@ -199,11 +195,6 @@ def slopes_of(calibration: Calibration) -> str:
         f"along the vertical axis is uncertain, and the heading error is {error}; give the "
         "position when you calibrate again, or turn on ramps"
     )
-
-
-def sentence_of(state: str, slopes: str) -> str:
-    """Return a state in words; `slopes` is empty if the calibration shows them."""
-    return SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
 
 
 def _own(figure: Figure, calibration: Calibration) -> float:
@@ -230,27 +221,10 @@ def _records(
         turned = np.where(is_good, integral(window.time, rate), math.nan)
     is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
-    visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
-    sector = np.floor(np.mod(heading, math.tau) * (BINS / math.tau))
-    rows = np.column_stack([path, visit, sector])
-    first = np.append(0, np.flatnonzero(np.diff(rows, axis=0).any(axis=1)) + 1)
-    count = np.diff(np.append(first, len(rows)))
-    turn = np.exp(1j * yaw_from_up_and_field(up, field))
-    rise = np.sum(field * up, axis=1)
-    strength = np.linalg.norm(field, axis=1)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.add.reduceat(values, first) / count
-
-    records = np.column_stack(
-        [
-            mean(window.time),
-            np.angle(mean(turn)),
-            *(mean(each) for each in (strength, rise, turned, path, rate)),
-        ]
-    )
-    # Next to iron, the compass may briefly turn once too often.
-    return np.asarray(records[count >= min(3.0, float(np.median(count)))])
+    strength, rise = np.linalg.norm(field, axis=1), np.sum(field * up, axis=1)
+    yaw = yaw_from_up_and_field(up, field)
+    samples = [window.time, yaw, strength, rise, turned, path, rate]
+    return records_of(np.column_stack(samples), heading)
 
 
 def _figures(
@@ -289,14 +263,14 @@ def _figures(
     return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
 
 
-def _summary(verdict: Verdict, slopes: str) -> str:
-    """Return the state, and the findings against the calibration."""
+def _summary(verdict: Verdict, sentence: str) -> str:
+    """Return the sentence on the state, and the findings against the calibration."""
     state = STATES[verdict.quality]
     if state == "holds":
-        return f"{sentence_of(state, slopes)}."
+        return f"{sentence}."
     causes = (c for c in verdict.checks if c.aspect is Aspect.QUALITY)
     words = "; ".join(c.words for c in causes if STATES[c.grade] == state)
-    return f"{SENTENCES[state]}: {words}."
+    return f"{sentence}: {words}."
 
 
 def _on_fresh_samples(
@@ -332,15 +306,6 @@ def expected_field(
     return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
 
 
-def up_of(window: Window) -> FloatArray:
-    """Return up at each sample, propagated by the gyro between gaps."""
-    if window.angular_rate is None:
-        return unit(window.specific_force)
-    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_field_gap)
-    pieces = np.split(np.arange(len(window)), gaps + 1)
-    return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
-
-
 def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
     """Return added iron over the level field, its sigma, and this field, T; None if unknown."""
     reference = ReferenceField(
@@ -366,8 +331,6 @@ def _check_iron(share: float, sigma: float, level: float, chance: float) -> Chec
     beyond = share - CHANGE.clearly * sigma
     if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
         return None
-    excess = math.sqrt(max(share**2 - (chance * sigma) ** 2, 0.0))
     size = f"iron added since ({1e6 * share * level:.1f} µT)"
-    words = IRON_BOUND.words.replace("iron added since", size)
-    bound = replace(IRON_BOUND, words=words)
-    return bound.check(share, excess=excess, rule=rule_of(bound))
+    bound = replace(IRON_BOUND, words=IRON_BOUND.words.replace("iron added since", size))
+    return check_beside_chance(bound, share, chance * sigma, decided=True)

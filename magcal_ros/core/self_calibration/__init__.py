@@ -6,10 +6,10 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
     drive_replay: DrivePath DriveReplay path_along replay_drive
-    jobs: CalibrationStep CandidateKind Decision DecisionKind DriveCandidate DriveJob DriveResult
-        HeldOutComparison Mode SELF_CALIBRATION difference
+    jobs: CandidateKind Decision DecisionKind DriveCandidate DriveJob DriveResult Mode
+        SELF_CALIBRATION difference reason_to_accept
     motor_learning: MotorLearning
-    self_calibration: SelfCalibration TRIAL
-    worker: compare_held_out examine_drive
+    self_calibration: SelfCalibration
+    worker: examine_drive ratio_on_later_data
     """,
 )

@@ -16,7 +16,6 @@ from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.recheck import up_of
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
@@ -27,9 +26,10 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
 )
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.self_calibration.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.jobs import SELF_CALIBRATION, Decision, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.core.self_calibration.worker import examine_drive
+from magcal_ros.core.up.follower import propagated_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +94,7 @@ def replay_drive(
                 continue
             for decision in machine.note(examine_drive(machine.job(knowledge))):
                 decisions.append((last - first, decision))
-                if decision.kind in (
-                    DecisionKind.APPLIED,
-                    DecisionKind.ROLLED_BACK,
-                    DecisionKind.REFINED,
-                ):
+                if decision.is_change:
                     now = decision.calibration
                     machine.put_in_force(now)
     path = None
@@ -151,6 +147,6 @@ def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:
     if len(log) < 10:
         return None
     every = max(1, round(SELF_CALIBRATION.map_every / float(np.median(np.diff(log.time)))))
-    up, speed = up_of(log), np.full(len(log), math.nan) if log.speed is None else log.speed
+    up, speed = propagated_up(log), np.full(len(log), math.nan) if log.speed is None else log.speed
     rows = (values[::every] for values in (log.time, log.field, up, speed))
     return path_along(calibration, *rows)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
     heading_differences,
@@ -18,6 +20,10 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
+
+if TYPE_CHECKING:
+    # A node starts without the smoother.
+    from magcal_ros.core.smoother.drives import LikelihoodRatio
 
 
 @dataclass(frozen=True)
@@ -55,8 +61,6 @@ class SelfCalibrationTuning:
     usual_speed: float = 5.0  # m/s of a robot whose speed is not measured
     memory: float = 600.0  # seconds of driving that are kept
     map_every: float = 0.5  # seconds between points of the map of a drive
-    kept: int = 3  # previous calibrations that are kept
-    remembered: int = 20  # decisions that are kept
 
 
 SELF_CALIBRATION = SelfCalibrationTuning()
@@ -66,23 +70,33 @@ METHOD = "smoother"
 
 
 class CandidateKind(str, Enum):
-    """Which numbers of a calibration were fitted."""
+    """The calibrations that are compared with the one in force."""
 
-    ALL = "all"
-    IRON = "iron"
+    EARLIER = "earlier"  # the one that was in force before
+    ALL = "all"  # all twelve numbers, fitted to a part of a drive
+    IRON = "iron"  # its hard iron alone, fitted to the drive since a change
 
 
 @dataclass(frozen=True, eq=False)
 class DriveCandidate:
-    """A calibration fitted to a part of a drive."""
+    """A calibration that may replace the one in force; only data after its end can prove it."""
 
     kind: CandidateKind
     calibration: Calibration
-    sigma: float  # of the heading, radians
-    sectors: int  # of twelve headings driven
     start: float
     end: float
-    """Clock at the start and the end of the data, seconds."""
+    """Clock at the start and the end of the data of the fit, seconds. For an earlier calibration
+    both are the clock at which it was replaced."""
+
+    @property
+    def sigma(self) -> float:
+        """Sigma of the heading by the calibration, radians."""
+        return known_sigma(self.calibration)
+
+    @property
+    def sectors(self) -> int:
+        """Number of headings driven, of twelve."""
+        return round(self.calibration.evidence.figure(Figure.HEADINGS_DRIVEN, 0.0))
 
     @property
     def seconds(self) -> float:
@@ -142,7 +156,12 @@ class Decision:
     clock: float  # seconds of movement since the drive began
     kind: DecisionKind
     words: str  # the decision with its reason, one sentence
-    calibration: Calibration | None = None  # the one to be put in force, if any
+    calibration: Calibration | None = None  # the one to be put in force or offered, if any
+
+    @property
+    def is_change(self) -> bool:
+        """Whether its calibration is to be put in force."""
+        return self.calibration is not None and self.kind is not DecisionKind.PROPOSED
 
 
 class Mode(str, Enum):
@@ -153,21 +172,9 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-class Probation(NamedTuple):
-    """A candidate on probation: its newest fit, and its fits at each job.
-
-    Each step corrects the data after it; data count from the first step on.
-    """
-
-    candidate: DriveCandidate
-    steps: tuple[CalibrationStep, ...]
-
-    @staticmethod
-    def of(candidate: DriveCandidate, before: tuple[CalibrationStep, ...] = ()) -> Probation:
-        """Return the probation of a candidate, with its fits before."""
-        return Probation(
-            candidate, (*before, CalibrationStep(candidate.end, candidate.calibration))
-        )
+Contests = Mapping[CandidateKind, tuple[DriveCandidate, ...]]
+"""The candidates that are compared with the calibration in force, each with all its fits, the
+newest last. Each fit corrects the data after it; data count from the end of the first one."""
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
@@ -177,48 +184,26 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
     return one.correction.is_same(other.correction)
 
 
-@dataclass(frozen=True)
-class HeldOutComparison:
-    """Comparison of a new and an old calibration on held-out data, driven after the fit."""
+def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio) -> str:
+    """Return in words why a calibration is better than the one in force; empty if not proved.
 
-    seconds: float = 0.0  # of driving
-    likelihood: float = 0.0  # log likelihood ratio on all data, weighted for correlation
-    halves: tuple[float, float] = (0.0, 0.0)  # the same for both halves of the data
-    without_best_quarter: float = 0.0
-    """The ratio without the quarter of headings that favours the new calibration most: steel on
-    one side of the path affects one quarter only."""
-    opposing: float = 0.0
-    """The sum over the headings that favour the old calibration. Added iron is visible at nearly
-    all headings, steel on one side of the path at a few."""
-
-    def reason_to_accept(self, kind: CandidateKind | None = None) -> str:
-        """Return in words why the new calibration is better; empty if that is not proved."""
-        enough = (
-            SELF_CALIBRATION.iron_proof
-            if kind is CandidateKind.IRON
-            else SELF_CALIBRATION.likelihood_proof
-        )
-        is_elsewhere = (
-            kind is not CandidateKind.ALL
-            or self.without_best_quarter >= SELF_CALIBRATION.elsewhere_proof
-        )
-        is_unopposed = (
-            kind is not CandidateKind.IRON or self.opposing <= SELF_CALIBRATION.most_against
-        )
-        is_clear = self.likelihood > enough and min(self.halves) > 0.0
-        if not (is_clear and is_elsewhere and is_unopposed):
-            return ""
-        return (
-            f"it predicts the {self.seconds:.0f} s of driving since then better, by "
-            f"{self.likelihood:.0f} units of log likelihood and in both halves of the time"
-        )
-
-
-class CalibrationStep(NamedTuple):
-    """A calibration, and the clock from which it corrects the data, seconds."""
-
-    since: float
-    calibration: Calibration
+    Added iron is visible at nearly all headings. Steel on one side of the path affects a quarter of
+    the headings, and contradicts the new calibration at the others.
+    """
+    is_iron = kind is CandidateKind.IRON
+    enough = SELF_CALIBRATION.iron_proof if is_iron else SELF_CALIBRATION.likelihood_proof
+    is_clear = ratio.gain > enough and min(ratio.halves) > 0.0
+    is_elsewhere = (
+        kind is not CandidateKind.ALL
+        or ratio.without_best_quarter >= SELF_CALIBRATION.elsewhere_proof
+    )
+    is_unopposed = not is_iron or ratio.opposing <= SELF_CALIBRATION.most_against
+    if not (is_clear and is_elsewhere and is_unopposed):
+        return ""
+    return (
+        f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "
+        f"{ratio.gain:.0f} units of log likelihood and in both halves of the time"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,11 +215,9 @@ class DriveJob:
     in_force: Calibration | None
     windows: tuple[float, ...]
     """Seconds of the newest driving to which all twelve numbers are fitted."""
-    not_before: float  # clock of a change, before which no window begins, seconds
-    changed: float  # clock of the last proved change, seconds; minus infinity without one
-    contenders: dict[str, tuple[CalibrationStep, ...]]
-    """Calibrations that are compared with the one in force, by name: steps, each for held-out data.
-    Data before the first step do not count."""
+    changed: float = -math.inf
+    """Clock of the last proved change, seconds: no fit uses data from before it."""
+    contests: Contests = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +225,8 @@ class DriveResult:
     """The results of a job."""
 
     clock: float  # of the newest data, seconds
-    candidates: tuple[DriveCandidate, ...]
-    since_change: DriveCandidate | None
-    finer: DriveCandidate | None
-    """The hard iron since a suspected change, and since the last proved one."""
-    comparisons: dict[str, HeldOutComparison]  # by the contests' names
+    candidates: tuple[DriveCandidate, ...] = ()
+    """Of all twelve numbers, and of the hard iron since the last proved change."""
+    since_change: DriveCandidate | None = None  # the hard iron since a suspected change
+    ratios: Mapping[CandidateKind, LikelihoodRatio] = field(default_factory=dict)
+    """Of the contests, on the data that count."""

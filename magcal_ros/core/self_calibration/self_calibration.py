@@ -18,23 +18,22 @@ from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
-    CalibrationStep,
     CandidateKind,
     Decision,
     DecisionKind,
     DriveCandidate,
     DriveJob,
     DriveResult,
-    HeldOutComparison,
     Mode,
-    Probation,
     difference,
     is_another,
     is_finer,
     is_same,
+    reason_to_accept,
 )
 
-TRIAL = "trial"
+EARLIER, ALL, IRON = CandidateKind
+REMEMBERED = 20  # decisions that are kept
 
 
 class SelfCalibration:
@@ -45,16 +44,10 @@ class SelfCalibration:
         self.proposal: Calibration | None = None  # waits for the user
         self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
         self._in_force: Calibration | None = None
-        self.before: deque[Calibration] = deque(maxlen=SELF_CALIBRATION.kept)  # the newest last
-        self._on_probation: dict[CandidateKind, Probation] = {}
-        self._first: DriveCandidate | None = None
-        self._trial: CalibrationStep | None = (
-            None  # the previous calibration, while it is still compared
-        )
-        self.decisions: deque[Decision] = deque(
-            maxlen=SELF_CALIBRATION.remembered
-        )  # the oldest first
-        self._not_before = self._changed = -math.inf
+        self._before: Calibration | None = None  # in force before it
+        self._contests: dict[CandidateKind, tuple[DriveCandidate, ...]] = {}
+        self.decisions: deque[Decision] = deque(maxlen=REMEMBERED)  # the oldest first
+        self._changed = -math.inf  # clock of the last proved change of the robot
         self._looked = -math.inf
         self._round = 0
         self._is_pending = self._is_outdated = False
@@ -67,10 +60,10 @@ class SelfCalibration:
             return "off"
         if self.proposal is not None:
             return "a calibration is proposed: call ~/accept to put it in force"
-        if self._on_probation:
-            each = self._on_probation.values()
-            worded = " and ".join(probation.candidate.in_words for probation in each)
-            return f"on probation: {worded}"
+        contests = self._contests.items()
+        probation = [fits[-1].in_words for kind, fits in contests if kind is not EARLIER]
+        if probation:
+            return f"on probation: {' and '.join(probation)}"
         if self.recorder.rests:
             return "waiting for movement"
         sought = "a calibration" if self._in_force is None else "a better calibration"
@@ -84,9 +77,9 @@ class SelfCalibration:
     def forget(self) -> None:
         """Forget the drive and its results: the sensors have changed, or the mode has."""
         self.recorder.begin_anew()
-        self._on_probation.clear()
-        self._first = self._trial = self.proposal = None
-        self._not_before = self._changed = self._looked = -math.inf
+        self._contests.clear()
+        self.proposal = None
+        self._changed = self._looked = -math.inf
         self._is_outdated = True
 
     def put_in_force(self, calibration: Calibration | None) -> None:
@@ -101,23 +94,27 @@ class SelfCalibration:
         last = self.decisions[-1] if self.decisions else None
         wanted = self.proposal if last is None or self.proposal is not None else last.calibration
         decided = calibration is not None and is_same(calibration, wanted)
+        earlier = self._contests.pop(EARLIER, None)
+        self._contests.clear()
         self._in_force, self.proposal = calibration, None
-        self._on_probation.clear()
-        self._first = None
         self._is_outdated = True
-        if old is not None:
-            self.before.append(old)
-        rolled = last is not None and last.kind is DecisionKind.ROLLED_BACK
-        if last is not None and last.kind is DecisionKind.REFINED and decided:
-            self.before.pop()
-            return
-        self._trial = None
-        if decided and old is not None and not rolled:
-            self._trial = CalibrationStep(self.recorder.clock, old)
-        if not decided or rolled:
-            self._changed = -math.inf
         if not decided:
-            self._not_before = -math.inf
+            self._changed = -math.inf
+        if old is None:
+            return
+        made = last.kind if decided and last is not None else None
+        if made is DecisionKind.REFINED:
+            # The calibration before the refined one stays the earlier one.
+            if earlier is not None:
+                self._contests[EARLIER] = earlier
+            return
+        self._before = old
+        if decided and made is not DecisionKind.ROLLED_BACK:
+            self._compare_earlier(old, self.recorder.clock)
+
+    def _compare_earlier(self, calibration: Calibration, since: float) -> None:
+        """Compare an earlier calibration with the one in force, on the data from a clock on."""
+        self._contests[EARLIER] = (DriveCandidate(EARLIER, calibration, since, since),)
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
         """Add a pair, which counts only if its IMU has a rate.
@@ -131,9 +128,7 @@ class SelfCalibration:
         if self._is_pending or self.recorder.seconds < SELF_CALIBRATION.look_every:
             return False
         wait = (
-            SELF_CALIBRATION.look_again
-            if CandidateKind.IRON in self._on_probation
-            else SELF_CALIBRATION.look_every
+            SELF_CALIBRATION.look_again if IRON in self._contests else SELF_CALIBRATION.look_every
         )
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
@@ -144,14 +139,11 @@ class SelfCalibration:
         self._looked = self.recorder.clock
         self._round += 1
         in_force, windows = self._compared, SELF_CALIBRATION.windows
-        contenders = {kind.value: each.steps for kind, each in self._on_probation.items()}
-        if self._trial is not None:
-            contenders[TRIAL] = (self._trial,)
         if in_force is not None:
             # With a calibration in force, one window for each job is enough.
             windows = windows[self._round % len(windows) :][:1]
-        since = self._not_before, self._changed
-        return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contenders)
+        log, contests = self.recorder.log(), dict(self._contests)
+        return DriveJob(log, knowledge, in_force, windows, self._changed, contests)
 
     def fail(self) -> None:
         """Note that a job has failed; a later one tries again."""
@@ -177,9 +169,9 @@ class SelfCalibration:
         in_force = self._compared
         if in_force is None:
             return self._begin(findings)
-        made = self._tried(findings)
+        made = self._settled(findings, in_force)
         if not _changes(made):
-            made += self._proved(findings, in_force) or self._refined(findings, in_force)
+            made += self._refined(findings, in_force)
         if not _changes(made):
             made += self._take_up(findings, in_force) + self._notice(findings, in_force)
         return made
@@ -189,16 +181,16 @@ class SelfCalibration:
         clock = findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
         for candidate in sorted(good, key=lambda each: each.sigma):
-            first = self._first
+            (first,) = self._contests.get(ALL, (None,))
             if first is None:
-                self._first = candidate
+                self._contests[ALL] = (candidate,)
                 words = f"{candidate.in_words}; a second one that agrees confirms it"
                 return [Decision(clock, DecisionKind.PROBATION, words)]
             if candidate.end - first.end < 0.5 * SELF_CALIBRATION.look_every:
                 continue
             apart = difference(first.calibration, candidate.calibration)
             allowed = SELF_CALIBRATION.differs * math.hypot(first.sigma, candidate.sigma)
-            self._first = candidate
+            self._contests[ALL] = (candidate,)
             if apart <= allowed:
                 words = (
                     f"{candidate.in_words}: it agrees with the fit before it "
@@ -207,59 +199,50 @@ class SelfCalibration:
                 return [self._change(clock, candidate.calibration, words)]
         return []
 
-    def _tried(self, findings: DriveResult) -> list[Decision]:
-        """Compare the calibration in force with the previous one."""
-        trial, proof = self._trial, findings.comparisons.get(TRIAL)
-        if trial is None or proof is None:
-            return []
-        why = proof.reason_to_accept()
-        if why:
-            self._trial, self._not_before = None, trial.since
-            if self.proposal is not None and is_same(trial.calibration, self._in_force):
-                self.proposal = None
-                words = f"the proposal is withdrawn, as what is in force is better: {why}"
-                return [Decision(findings.clock, DecisionKind.DROPPED, words)]
-            words = f"the earlier calibration was better after all: {why}"
-            return [
-                self._change(findings.clock, trial.calibration, words, DecisionKind.ROLLED_BACK)
-            ]
-        if proof.seconds > SELF_CALIBRATION.longest_trial:
-            self._trial = None
-            words = f"{proof.seconds:.0f} s of road show that no earlier calibration was better"
-            return [Decision(findings.clock, DecisionKind.CONFIRMED, words)]
-        return []
-
-    def _proved(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+    def _settled(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+        """Put a proved calibration in force, and end contests that last too long."""
         made: list[Decision] = []
-        for kind, probation in list(self._on_probation.items()):
-            proof = findings.comparisons.get(kind.value, HeldOutComparison())
-            since = findings.since_change
-            if kind is CandidateKind.IRON and since is not None and is_another(since, in_force):
-                # The newest fit of the hard iron since the change.
-                probation = self._on_probation[kind] = Probation.of(since, probation.steps)
-            candidate = probation.candidate
-            why = proof.reason_to_accept(kind)
+        since = findings.since_change
+        for kind, fits in list(self._contests.items()):
+            if kind is IRON and since is not None and is_another(since, in_force):
+                fits = self._contests[IRON] = (*fits, since)
+            ratio, candidate = findings.ratios.get(kind), fits[-1]
+            if ratio is None:
+                continue
+            why = reason_to_accept(kind, ratio)
             if why and self._is_believable(candidate):
-                if kind is CandidateKind.IRON:
-                    self._changed = self._not_before = candidate.start
-                words = f"{candidate.in_words}: {why}"
-                return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - probation.steps[0].since > SELF_CALIBRATION.longest_probation:
-                del self._on_probation[kind]
-                words = f"{candidate.in_words}: not proved better on the road since"
-                made.append(Decision(findings.clock, DecisionKind.DROPPED, words))
+                return [*made, self._accept(findings.clock, candidate, why)]
+            longest = SELF_CALIBRATION.longest_probation
+            if kind is EARLIER:
+                longest = SELF_CALIBRATION.longest_trial
+            seconds = findings.clock - fits[0].end
+            if seconds > longest:
+                del self._contests[kind]
+                made.append(_ended(findings.clock, candidate, seconds))
         return made
+
+    def _accept(self, clock: float, candidate: DriveCandidate, why: str) -> Decision:
+        """Put a proved calibration in force, or withdraw the proposal that is worse."""
+        if candidate.kind is not ALL:
+            self._changed = candidate.start
+        if candidate.kind is not EARLIER:
+            return self._change(clock, candidate.calibration, f"{candidate.in_words}: {why}")
+        if self.proposal is not None and is_same(candidate.calibration, self._in_force):
+            self._contests.clear()
+            self.proposal = None
+            words = f"the proposal is withdrawn, as what is in force is better: {why}"
+            return Decision(clock, DecisionKind.DROPPED, words)
+        words = f"the earlier calibration was better after all: {why}"
+        return self._change(clock, candidate.calibration, words, DecisionKind.ROLLED_BACK)
 
     def _refined(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Replace a calibration from driving by a fit to more data of the same drive."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
-        found = [findings.finer] if math.isfinite(self._changed) else findings.candidates
-        for each in found:
-            if each is not None and self._is_believable(each) and is_finer(each, in_force):
+        for each in findings.candidates:
+            if self._is_believable(each) and is_finer(each, in_force):
                 known = math.degrees(known_sigma(in_force))
                 words = f"{each.in_words}, compared with ±{known:.1f}° before"
-                self._on_probation.clear()
                 return [Decision(findings.clock, DecisionKind.REFINED, words, each.calibration)]
         return []
 
@@ -268,7 +251,8 @@ class SelfCalibration:
         good = [
             each
             for each in findings.candidates
-            if self._is_believable(each)
+            if each.kind is ALL
+            and self._is_believable(each)
             and (is_another(each, in_force) or is_finer(each, in_force))
         ]
         if not good:
@@ -282,9 +266,9 @@ class SelfCalibration:
                 f"to ±{known:.1f}°"
             )
             return [self._change(findings.clock, best.calibration, words)]
-        if CandidateKind.ALL in self._on_probation:
+        if ALL in self._contests:
             return []
-        self._on_probation[CandidateKind.ALL] = Probation.of(best)
+        self._contests[ALL] = (best,)
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
         return [Decision(findings.clock, DecisionKind.PROBATION, words)]
@@ -292,16 +276,16 @@ class SelfCalibration:
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
-        if since is None or CandidateKind.IRON in self._on_probation:
+        if since is None or IRON in self._contests:
             return []
         sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
         if apart < SELF_CALIBRATION.notice_differs * sigma:
             return []
-        self._on_probation[CandidateKind.IRON] = Probation.of(since)
-        if self.before:
+        self._contests[IRON] = (since,)
+        if self._before is not None:
             # If the iron is removed again, the calibration before it is valid again.
-            self._trial = CalibrationStep(since.start, self.before[-1])
+            self._compare_earlier(self._before, since.start)
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
@@ -309,8 +293,10 @@ class SelfCalibration:
         return [Decision(findings.clock, DecisionKind.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
+        if candidate.kind is EARLIER:
+            return True
         largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
-        if candidate.kind is CandidateKind.IRON and self._compared is not None:
+        if candidate.kind is IRON and self._compared is not None:
             few = SELF_CALIBRATION.fewest_for_iron
             # A calibration that is clearly wrong may be replaced by a rough one.
             apart = difference(self._compared, candidate.calibration)
@@ -329,16 +315,25 @@ class SelfCalibration:
         words: str,
         kind: DecisionKind = DecisionKind.APPLIED,
     ) -> Decision:
-        self._on_probation.clear()
+        self._contests.clear()
         evidence = replace(calibration.evidence, reasons=(words,))
         calibration = replace(calibration, evidence=evidence)
         if self.mode is Mode.PROPOSE:
             self.proposal, kind = calibration, DecisionKind.PROPOSED
             if self._in_force is not None:
-                self._trial = CalibrationStep(clock, self._in_force)
+                self._compare_earlier(self._in_force, clock)
         return Decision(clock, kind, words, calibration)
 
 
 def _changes(made: list[Decision]) -> bool:
     """Whether the last decision puts another calibration in force, or offers it."""
     return bool(made) and made[-1].calibration is not None
+
+
+def _ended(clock: float, candidate: DriveCandidate, seconds: float) -> Decision:
+    """Return the decision that a candidate was not proved better."""
+    if candidate.kind is EARLIER:
+        words = f"{seconds:.0f} s of road show that no earlier calibration was better"
+        return Decision(clock, DecisionKind.CONFIRMED, words)
+    words = f"{candidate.in_words}: not proved better on the road since"
+    return Decision(clock, DecisionKind.DROPPED, words)

@@ -18,12 +18,10 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
-    CalibrationStep,
     CandidateKind,
     DriveCandidate,
     DriveJob,
     DriveResult,
-    HeldOutComparison,
 )
 from magcal_ros.core.smoother import drives
 from magcal_ros.core.smoother.iron_added import find_change
@@ -35,30 +33,27 @@ def examine_drive(job: DriveJob) -> DriveResult:
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     since_change = _since_change(nodes, job, clock)
-    first = max(float(nodes.time[0]) - 5.0, job.not_before)
+    first = max(float(nodes.time[0]) - 5.0, job.changed)
     if since_change is not None:
         first = max(first, since_change.start)
     found = [
-        _all_twelve(nodes, job, clock - seconds, clock)
-        for seconds in job.windows
-        if clock - seconds >= first
+        _iron_since_known(nodes, job, clock),
+        *(_all_twelve(nodes, job, clock - s, clock) for s in job.windows if clock - s >= first),
     ]
-    whole = tuple(each for each in found if each is not None)
-    comparisons = {
-        name: compare_held_out(nodes, job.in_force.correction, steps, job.knowledge)
-        for name, steps in job.contenders.items()
+    candidates = tuple(each for each in found if each is not None)
+    ratios = {
+        kind: ratio_on_later_data(nodes, job.in_force.correction, fits, job.knowledge)
+        for kind, fits in job.contests.items()
         if job.in_force is not None
     }
-    return DriveResult(
-        clock, whole, since_change, _iron_since_known(nodes, job, clock), comparisons
-    )
+    return DriveResult(clock, candidates, since_change, ratios)
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
     """Return the hard iron since the most likely change; None if no change is likely."""
     if job.in_force is None:
         return None
-    first = max(clock - SELF_CALIBRATION.look_back, job.not_before)
+    first = max(clock - SELF_CALIBRATION.look_back, job.changed)
     change = find_change(nodes.between(first), job.in_force, job.knowledge)
     if change is None or change.gain < SELF_CALIBRATION.notice_proof:
         return None
@@ -83,31 +78,27 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
     return candidate_of(fitted, CandidateKind.ALL, job, start, end)
 
 
-def compare_held_out(
-    nodes: Nodes, old: Correction, new: tuple[CalibrationStep, ...], knowledge: Knowledge
-) -> HeldOutComparison:
-    """Compare two calibrations on held-out data.
+def ratio_on_later_data(
+    nodes: Nodes, old: Correction, new: tuple[DriveCandidate, ...], knowledge: Knowledge
+) -> drives.LikelihoodRatio:
+    """Return the log likelihood ratio of a new calibration and an old one on held-out data.
 
     If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
     Dawid, 1984), so that all data since the first fit count.
     """
-    road = nodes.between(new[0].since)
+    road = nodes.between(new[0].end)
     if len(road) < 4:
-        return HeldOutComparison()
+        return drives.LikelihoodRatio()
     before = drives.corrected(road, old, knowledge.mounting.matrix)
-    ratio = drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
-    seconds = float(np.ptp(road.time))
-    return HeldOutComparison(
-        seconds, ratio.gain, ratio.halves, ratio.without_best_quarter, ratio.opposing
-    )
+    return drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
 
 
-def _read(nodes: Nodes, steps: tuple[CalibrationStep, ...], knowledge: Knowledge) -> Nodes:
-    """Return the nodes, each corrected by the step of its time."""
+def _read(nodes: Nodes, fits: tuple[DriveCandidate, ...], knowledge: Knowledge) -> Nodes:
+    """Return the nodes, each corrected by the newest fit before it."""
     field = nodes.field.copy()
-    for since, calibration in steps:
-        later = nodes.time > since
-        read = drives.corrected(nodes, calibration.correction, knowledge.mounting.matrix)
+    for fit in fits:
+        later = nodes.time > fit.end
+        read = drives.corrected(nodes, fit.calibration.correction, knowledge.mounting.matrix)
         field[later] = read.field[later]
     return replace(nodes, field=field)
 
@@ -159,4 +150,4 @@ def candidate_of(
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
     evidence = calibration.evidence.made_with(reference)
     calibration = replace(calibration, evidence=evidence)
-    return DriveCandidate(kind, calibration, sigma, fitted.sectors, start, end)
+    return DriveCandidate(kind, calibration, start, end)

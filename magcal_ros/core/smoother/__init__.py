@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
     currents: Clock Currents
-    drives: corrected drive_nodes fit_drive fit_iron likelihood_ratio_of
+    drives: LikelihoodRatio corrected drive_nodes fit_drive fit_iron likelihood_ratio_of
     earth: EarthFieldPrior GaussianEarthPrior
     factors: Residuals
     fit: Damping Fit

@@ -234,6 +234,7 @@ class LikelihoodRatio:
     """Log likelihood ratio of each node, weighted by `EVIDENCE_WEIGHT`. Shape (n,)."""
     sector: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Heading sector of each node by the new calibration, 0 to 11. Shape (n,)."""
+    seconds: float = 0.0  # duration of the nodes
 
     @property
     def gain(self) -> float:
@@ -253,7 +254,10 @@ class LikelihoodRatio:
 
     @property
     def without_best_quarter(self) -> float:
-        """The ratio without the three sectors that favour the new calibration most."""
+        """The ratio without the three sectors that favour the new calibration most.
+
+        Steel on one side of the path affects one quarter of the headings only.
+        """
         quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
         return float(self.gain - np.max(quarters))
 
@@ -284,7 +288,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
     if before is None or after is None:
         return LikelihoodRatio()
     by_node = EVIDENCE_WEIGHT * (_costs(before) - _costs(after))
-    return LikelihoodRatio(by_node, after.state.sector)
+    return LikelihoodRatio(by_node, after.state.sector, float(np.ptp(old.time)))
 
 
 def _costs(found: Fit) -> FloatArray:

@@ -1,6 +1,5 @@
 """Self-calibration: candidates, probation, the calibration in force, and its return."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -15,18 +14,18 @@ from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import FieldSample, ImuSample, Pair
 from magcal_ros.core.self_calibration import (
-    TRIAL,
     CandidateKind,
     DecisionKind,
     DriveCandidate,
     DriveResult,
-    HeldOutComparison,
     Mode,
     SelfCalibration,
     difference,
     examine_drive,
+    reason_to_accept,
 )
 from magcal_ros.core.simulation import Robot
+from magcal_ros.core.smoother import LikelihoodRatio
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(
@@ -37,7 +36,15 @@ ROBOT = Robot(
     noise_field=0.3e-6,
 )
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
-PROVED = HeldOutComparison(60.0, 20.0, (9.0, 11.0), 5.0)
+
+
+def ratio(first, second=0.0, sectors=12):
+    """A likelihood ratio of so much in each half of a drive over this many headings."""
+    halves = np.repeat([first, second], 36) / 36.0
+    return LikelihoodRatio(halves, np.arange(72) % sectors, 60.0)
+
+
+PROVED = ratio(9.0, 11.0)
 
 
 def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_likelihood"):
@@ -51,13 +58,15 @@ def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_l
     )
 
 
-def candidate(iron, end, kind=CandidateKind.ALL, sigma=math.radians(2.0), sectors=9):
+def candidate(iron, end, kind=CandidateKind.ALL, sigma=math.radians(2.0), sectors=9, seconds=120.0):
     found = calibration(iron, sigma, "smoother")
-    return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
+    found.evidence.figures.update(headings_driven=float(sectors), heading_sigma=sigma)
+    return DriveCandidate(kind, found, end - seconds, end)
 
 
-def findings(clock, *candidates, since=None, finer=None, **comparisons):
-    return DriveResult(clock, candidates, since, finer, comparisons)
+def findings(clock, *candidates, since=None, **ratios):
+    named = {CandidateKind(name): each for name, each in ratios.items()}
+    return DriveResult(clock, candidates, since, named)
 
 
 class CalibrationStore:
@@ -71,11 +80,7 @@ class CalibrationStore:
         self.machine.job(BOSTON)
         made = self.machine.note(found)
         for decision in made:
-            if decision.kind in (
-                DecisionKind.APPLIED,
-                DecisionKind.ROLLED_BACK,
-                DecisionKind.REFINED,
-            ):
+            if decision.is_change:
                 self.machine.put_in_force(decision.calibration)
         return [decision.kind for decision in made]
 
@@ -128,15 +133,14 @@ def test_a_candidate_with_too_few_headings_is_not_used(bad):
 def test_a_different_candidate_goes_on_probation_first():
     keeper = CalibrationStore(calibration())
     assert keeper.note(findings(120.0, candidate(FAR, 120.0))) == [DecisionKind.PROBATION]
-    assert keeper.note(findings(140.0, all=HeldOutComparison(20.0))) == []
+    assert keeper.note(findings(140.0, all=ratio(0.0))) == []
     assert keeper.note(findings(180.0, all=PROVED)) == [DecisionKind.APPLIED]
-    assert keeper.machine.before[-1].correction is not None
 
 
 def test_an_unproved_candidate_is_dropped_after_a_time():
     keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
-    assert keeper.note(findings(310.0, all=HeldOutComparison(190.0))) == [DecisionKind.DROPPED]
+    assert keeper.note(findings(310.0, all=ratio(0.0))) == [DecisionKind.DROPPED]
 
 
 def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
@@ -147,8 +151,8 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     )
     assert keeper.note(findings(120.0, since=first)) == [DecisionKind.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
-    (steps,) = keeper.machine.job(BOSTON).contenders.values()
-    assert [step.since for step in steps] == [120.0, 140.0]
+    (fits,) = keeper.machine.job(BOSTON).contests.values()
+    assert [fit.end for fit in fits] == [120.0, 140.0]
     keeper.machine.fail()
     assert keeper.note(findings(160.0, iron=PROVED)) == [DecisionKind.APPLIED]
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
@@ -169,20 +173,19 @@ def test_removed_iron_restores_the_previous_calibration():
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     keeper.note(findings(120.0, since=came))
     keeper.note(findings(140.0, since=came, iron=PROVED))
-    keeper.note(findings(460.0, **{TRIAL: HeldOutComparison(310.0)}))
+    keeper.note(findings(460.0, earlier=ratio(0.0)))
     went = candidate((0.5e-6, 0.0, 0.0), 900.0, CandidateKind.IRON)
     assert keeper.note(findings(900.0, since=went)) == [DecisionKind.NOTICED]
-    assert keeper.machine.job(BOSTON).contenders[TRIAL][0].since == went.start
+    assert keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER][0].end == went.start
     keeper.machine.fail()
-    assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [DecisionKind.ROLLED_BACK]
+    assert keeper.note(findings(910.0, earlier=PROVED)) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
-    assert keeper.machine.job(BOSTON).not_before == went.start
+    assert keeper.machine.job(BOSTON).changed == went.start
 
 
 def test_a_proposal_is_made_once():
     keeper = CalibrationStore(calibration(), Mode.PROPOSE)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
-    came.calibration.evidence.figures["heading_sigma"] = came.sigma
     keeper.note(findings(120.0, since=came))
     assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [DecisionKind.PROPOSED]
     assert keeper.note(findings(160.0, since=came)) == []
@@ -217,19 +220,16 @@ def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    (step,) = keeper.machine.job(BOSTON).contenders[TRIAL]
-    assert step.calibration is old
+    (earlier,) = keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER]
+    assert earlier.calibration is old
     keeper.machine.fail()
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.DROPPED]
+    assert keeper.note(findings(260.0, earlier=PROVED)) == [DecisionKind.DROPPED]
     assert keeper.machine.proposal is None
     assert keeper.machine.decisions[-1].calibration is None
 
 
 def sized(iron, end, sigma_deg, seconds=120.0):
-    """A candidate with its sigma in its report, as of a fit."""
-    found = candidate(iron, end, sigma=math.radians(sigma_deg))
-    found.calibration.evidence.figures["heading_sigma"] = found.sigma
-    return dataclasses.replace(found, start=end - seconds)
+    return candidate(iron, end, sigma=math.radians(sigma_deg), seconds=seconds)
 
 
 def test_a_much_more_certain_candidate_that_agrees_is_used():
@@ -273,18 +273,16 @@ def test_the_old_calibration_returns_if_it_was_better():
     keeper = CalibrationStore(old)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.ROLLED_BACK]
+    assert keeper.note(findings(260.0, earlier=PROVED)) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
-    assert keeper.note(findings(280.0, **{TRIAL: PROVED})) == []
+    assert keeper.note(findings(280.0, earlier=PROVED)) == []
 
 
 def test_a_trial_ends():
     keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    assert keeper.note(findings(500.0, **{TRIAL: HeldOutComparison(310.0)})) == [
-        DecisionKind.CONFIRMED
-    ]
+    assert keeper.note(findings(500.0, earlier=ratio(0.0))) == [DecisionKind.CONFIRMED]
 
 
 def test_a_proposal_waits_for_the_user():
@@ -297,7 +295,7 @@ def test_a_proposal_waits_for_the_user():
     assert "accept" in machine.in_words
     machine.put_in_force(machine.proposal.accepted_by_person())
     assert machine.proposal is None
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.PROPOSED]
+    assert keeper.note(findings(260.0, earlier=PROVED)) == [DecisionKind.PROPOSED]
     assert machine.proposal.correction is old.correction
 
 
@@ -308,13 +306,6 @@ def test_results_for_another_calibration_are_ignored():
     machine.job(BOSTON)
     machine.put_in_force(calibration())
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) == []
-
-
-def test_the_number_of_kept_calibrations_is_bounded():
-    keeper = CalibrationStore(calibration())
-    for number in range(6):
-        keeper.machine.put_in_force(calibration((number * 1e-6, 0.0, 0.0)))
-    assert len(keeper.machine.before) == 3
 
 
 def test_a_lost_job_is_repeated():
@@ -347,23 +338,23 @@ def test_the_wait_grows_with_each_lost_job():
 
 
 def test_evidence_of_one_quarter_of_headings_is_no_proof_of_all_twelve_numbers():
-    proof = dataclasses.replace(PROVED, without_best_quarter=-0.1)
-    assert not proof.reason_to_accept(kind=CandidateKind.ALL)
-    assert proof.reason_to_accept(kind=CandidateKind.IRON)
-    assert proof.reason_to_accept()
+    proof = ratio(9.0, 11.0, sectors=3)
+    assert not reason_to_accept(CandidateKind.ALL, proof)
+    assert reason_to_accept(CandidateKind.IRON, proof)
+    assert reason_to_accept(CandidateKind.EARLIER, proof)
 
 
 @pytest.mark.parametrize(
     ("proof", "stands"),
     [
-        (HeldOutComparison(), False),
+        (LikelihoodRatio(), False),
         (PROVED, True),
-        (dataclasses.replace(PROVED, halves=(21.0, -1.0)), False),
-        (dataclasses.replace(PROVED, likelihood=11.0), False),
+        (ratio(21.0, -1.0), False),
+        (ratio(5.0, 6.0), False),
     ],
 )
 def test_a_proof_needs_both_halves_of_the_drive(proof, stands):
-    assert bool(proof.reason_to_accept()) is stands
+    assert bool(reason_to_accept(CandidateKind.EARLIER, proof)) is stands
 
 
 def driven(seed, legs, **options):
@@ -383,11 +374,7 @@ def follow(drive, machine, told=lambda stamp: stamp):
         if machine.add(Pair(FieldSample(told(stamp), field), imu)):
             for decision in machine.note(examine_drive(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
-                if decision.kind in (
-                    DecisionKind.APPLIED,
-                    DecisionKind.ROLLED_BACK,
-                    DecisionKind.REFINED,
-                ):
+                if decision.is_change:
                     machine.put_in_force(decision.calibration)
     return made
 

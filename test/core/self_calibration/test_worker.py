@@ -17,11 +17,11 @@ from magcal_ros.core.earth_field import made_elsewhere
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.self_calibration import (
-    CalibrationStep,
     CandidateKind,
     DriveJob,
-    compare_held_out,
     examine_drive,
+    ratio_on_later_data,
+    reason_to_accept,
 )
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother import drive_nodes
@@ -44,12 +44,12 @@ def driven(**options):
 
 
 def step(since, correction):
-    """Return from when data are corrected by a correction."""
-    return CalibrationStep(since, SimpleNamespace(correction=correction))
+    """A fit that corrects the data after its end."""
+    return SimpleNamespace(end=since, calibration=SimpleNamespace(correction=correction))
 
 
 def proved(road, *steps, old=OLD):
-    return compare_held_out(road, old, steps, BOSTON)
+    return ratio_on_later_data(road, old, steps, BOSTON)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     rng = np.random.default_rng(4)
     drive = simulated_drive(travel(city(rng, 130.0), rng, rate=10.0), rng, Vehicle(ROBOT))
     log = log_of(Window(drive.time, drive.field, drive.force, drive.rate))
-    job = DriveJob(log, knowledge, None, (120.0,), -math.inf, -math.inf, {})
+    job = DriveJob(log, knowledge, None, (120.0,))
     (found,) = examine_drive(job).candidates
     evidence = found.calibration.evidence
     is_known = knowledge is BOSTON
@@ -84,9 +84,9 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
 
 
 def test_the_correct_one_is_likelier_in_both_halves(whole):
-    assert whole.likelihood > 10.0
+    assert whole.gain > 10.0
     assert min(whole.halves) > 5.0
-    assert "in both halves" in whole.reason_to_accept(kind=CandidateKind.IRON)
+    assert "in both halves" in reason_to_accept(CandidateKind.IRON, whole)
 
 
 def test_data_before_the_first_fit_do_not_count(road):
@@ -99,8 +99,8 @@ def test_data_before_the_first_fit_do_not_count(road):
 def test_a_fit_is_compared_on_later_data_only(road, whole):
     middle = 0.5 * (road.time[0] + road.time[-1])
     first, last = step(road.time[0], WORSE), step(middle, RIGHT)
-    both = proved(road, first, last).likelihood
-    assert proved(road, first).likelihood < both < whole.likelihood
+    both = proved(road, first, last).gain
+    assert proved(road, first).gain < both < whole.gain
 
 
 def test_no_heading_contradicts_added_iron(whole):
@@ -114,7 +114,9 @@ def test_steel_beside_the_road_is_not_taken_for_added_iron(heading):
     road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
     proof = proved(road, step(road.time[0], OLD), old=RIGHT)
     assert proof.opposing > 1.5
-    assert proof.reason_to_accept(kind=CandidateKind.IRON) == ""
-    explained = replace(proof, likelihood=20.0, halves=(5.0, 5.0))
-    assert explained.reason_to_accept(kind=CandidateKind.IRON) == ""
-    assert replace(explained, opposing=0.5).reason_to_accept(kind=CandidateKind.IRON)
+    assert reason_to_accept(CandidateKind.IRON, proof) == ""
+    # Also if the quarter of headings beside the steel contributes more.
+    raised = proof.by_node + 40.0 * np.maximum(proof.by_node, 0.0)
+    explained = replace(proof, by_node=raised)
+    assert explained.gain > 8.0
+    assert reason_to_accept(CandidateKind.IRON, explained) == ""
