@@ -7,7 +7,7 @@ import pytest
 
 from magcal_ros.cli.check import _words
 from magcal_ros.cli.common import tell, with_options, wrapped
-from magcal_ros.cli.live_view import with_all_reasons
+from magcal_ros.cli.live_view import status_of, with_all_reasons
 from magcal_ros.cli.main import main
 from magcal_ros.core import METHODS, Grade, Recheck, Verdict
 from magcal_ros.core.assessment import Aspect
@@ -97,16 +97,17 @@ STATUS = {"summary": "A. But b; and 1 more.", "headline": "A.", "against": ["b",
 
 
 def test_the_answer_of_a_turn_names_every_reason():
-    status = json.dumps({"verdict": STATUS | {"accepted": True}})
+    status = {"verdict": STATUS | {"accepted": True}}
     told = with_all_reasons("timed out; A. But b; and 1 more. It is saved.", status)
     assert told == "timed out; A.\n\nBut:\n  - b\n  - c\n\nIt is saved."
 
 
 @pytest.mark.parametrize(
-    "status", [None, "no json", "{}", json.dumps({"verdict": STATUS | {"summary": "another"}})]
+    "text", ["no json", "{}", "7", json.dumps({"verdict": STATUS | {"summary": "another"}})]
 )
-def test_an_answer_without_a_status_is_unchanged(status):
-    assert with_all_reasons("A. But b; and 1 more.", status) == "A. But b; and 1 more."
+def test_an_answer_without_a_status_is_unchanged(text):
+    told = with_all_reasons("A. But b; and 1 more.", status_of(text))
+    assert told == "A. But b; and 1 more."
 
 
 @pytest.mark.parametrize("name", ["fit", "drive", "check", "doctor", "calibrate", "export", "demo"])
