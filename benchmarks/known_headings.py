@@ -229,7 +229,8 @@ class Follower:
         follower = self._up
         up = follower.at(sample.stamp, 0.0)
         if up is not None:
-            self._turn = self._turn.after(sample.stamp, follower)
+            by = up.direction, follower.mean_rate, follower.gyro_bias.variance
+            self._turn = self._turn.after(sample.stamp, *by)
         if up is None or self._fused is None:
             return
         rate, known = follower.mean_rate, follower.gyro_bias

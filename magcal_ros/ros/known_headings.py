@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import Reason, in_words
 from magcal_ros.core.heading.yaw_filter import FUSION
-from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
+from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
@@ -106,9 +106,7 @@ class HeadingTopic:
     def on_field(self, sample: FieldSample) -> None:
         """Take a field sample while headings arrive."""
         collector, view = self._collector, self._pipeline.frames.view
-        if not self.is_heard or collector is None:
-            return
-        if sample.stamp - collector.newest.stamp > VALID_FOR:
+        if collector is None or sample.stamp - collector.newest.stamp > VALID_FOR:
             self.is_heard = False
             return
         if view is None:
@@ -212,6 +210,7 @@ class KnownHeadings:
         self._turn: GyroTurn | None = None
         """The turn by the gyro since the last measurement; None if it is not known."""
         self._pairs: list[Pair] = []
+        self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
@@ -235,6 +234,7 @@ class KnownHeadings:
             return
         self._tell, self._given = tell, settings.known_heading
         self._pairs, self.antenna.collected = [], []
+        self._pairer = Pairer(self._magnetometer.inputs.streams)
         self._deadline = time.monotonic() + external_heading.TUNING.patience
 
     def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
@@ -248,22 +248,31 @@ class KnownHeadings:
             return f"{NO_HEADING}{self.antenna.silence}"
         return NO_POSE if self._pipeline.frames.view is None else ""
 
-    def add(self, pair: Pair) -> None:
-        """Take a field sample with the IMU at its stamp."""
-        if self._is_collecting:
-            self._pairs.append(pair)
-            seconds = pair.field.stamp - self._pairs[0].field.stamp
-            if seconds >= external_heading.TUNING.seconds:
-                self._fit()
+    def on_field(self, sample: FieldSample) -> None:
+        """Take a field sample."""
+        if self.antenna.is_heard:
+            self.antenna.on_field(sample)
+        if not self._is_collecting:
+            return
+        self._pairer.offer(sample)
+        self._pairs += self._pairer.take()
+        stamps = [pair.field.stamp for pair in self._pairs]
+        if stamps and stamps[-1] - stamps[0] >= external_heading.TUNING.seconds:
+            self._fit()
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to an IMU message that the up follower has received already."""
         if self.antenna.is_heard:
             self.antenna.on_imu(stamp)
-        if self._turn is not None:
-            follower = self._pipeline.up
+        follower, turn = self._pipeline.up, self._turn
+        if turn is None or follower.newest is None:
+            return
+        if follower.is_propagated:
+            known = follower.gyro_bias.variance
+            self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
+        else:
             # Without the gyro, the turn since the last measurement is unknown.
-            self._turn = self._turn.after(stamp, follower) if follower.is_propagated else None
+            self._turn = None
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on known headings; None if there are none."""

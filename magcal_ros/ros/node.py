@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer
+from magcal_ros.core.samples.streams import DropReason, FieldSample
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
@@ -53,7 +53,6 @@ class Calibrator(Node):
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
         self._control, self._store = first.control, first.store
-        self._pairer = Pairer(self._inputs.streams, counts=False)
         self._self_calibration = SelfCalibrationRunner(self, first)
         self._known = KnownHeadings(first, pipeline)
         self._magnetometers = Magnetometers(first, pipeline.compasses)
@@ -151,11 +150,8 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._known.antenna.on_field(at_rest)
-            self._pairer.offer(at_rest)
-            for pair in self._pairer.take():
-                self._self_calibration.add(pair, self._travel.estimator.speed)
-                self._known.add(pair)
+            self._self_calibration.on_field(at_rest, self._travel)
+            self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Note the first message of a sensor, or a new frame."""

@@ -12,13 +12,14 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
+from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class SelfCalibrationRunner:
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
         self.machine = SelfCalibration()
+        self._pairer = Pairer(magnetometer.inputs.streams, counts=False)
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
@@ -41,10 +43,14 @@ class SelfCalibrationRunner:
         self.problem = ""  # the failure of the last fit; empty if it succeeded
         self._reports = NO_REPORTS
 
-    def add(self, pair: Pair, speed: float) -> None:
-        """Take a field sample with the IMU at its stamp, and the speed of the vehicle, m/s."""
-        if self.machine.mode is not Mode.OFF and self.machine.add(pair, speed):
-            self._look()
+    def on_field(self, sample: FieldSample, travel: Travel) -> None:
+        """Take a field sample, and the state of the vehicle."""
+        if self.machine.mode is Mode.OFF:
+            return
+        self._pairer.offer(sample)
+        for pair in self._pairer.take():
+            if self.machine.add(pair, travel.estimator.speed):
+                self._look()
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""

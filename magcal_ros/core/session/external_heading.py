@@ -13,11 +13,10 @@ from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
-from magcal_ros.core.geometry.vec3 import dot
+from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.yaw_filter import BIAS_WALK, FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
-from magcal_ros.core.up.follower import UpFollower
 
 
 @dataclass(frozen=True)
@@ -112,17 +111,19 @@ class GyroTurn(NamedTuple):
     by_bias: float = 0.0
     """Sigma by the part of the bias beyond `FUSION.bias_sigma`, large before the first rest."""
 
-    def after(self, stamp: float, follower: UpFollower) -> GyroTurn:
-        """Return the turn up to the stamp (s) of an IMU message that `follower` has received."""
-        seconds, up = stamp - self.stamp, follower.newest
-        if up is None:
-            return self
+    def after(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
+        """Return the turn up to an IMU message at a stamp, seconds.
+
+        `up` is a unit vector. `rate` is the mean since the previous message, rad/s without the
+        known bias, body axes. `bias_variance` is of the bias about up, (rad/s)².
+        """
+        seconds = stamp - self.stamp
         if math.isnan(seconds):
             return self._replace(stamp=stamp)
         if not 0.0 < seconds <= STREAMS.longest_gyro_step:
             return self._replace(stamp=stamp, variance=self.variance + UNKNOWN_YAW)
-        turn = dot(follower.mean_rate, up)
-        more = math.sqrt(max(0.0, follower.gyro_bias.variance - FUSION.bias_sigma**2))
+        turn = dot(rate, up)
+        more = math.sqrt(max(0.0, bias_variance - FUSION.bias_sigma**2))
         return GyroTurn(
             stamp,
             self.seconds + seconds,

@@ -1,7 +1,6 @@
 """Repeated headings of another device, compared with the gyro."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,16 +29,10 @@ def test_a_heading_that_contradicts_the_gyro_is_reported(read, named):
     assert (named in check.fault) if named else not check.fault
 
 
-def turning(*rate, bias_variance=1e-6):
-    """Return the up follower of a level robot that turns at a rate, rad/s."""
-    bias = SimpleNamespace(variance=bias_variance)
-    return SimpleNamespace(newest=(0.0, 0.0, 1.0), mean_rate=rate, gyro_bias=bias)
-
-
 def turned(seconds, bias_variance=1e-6):
-    turn, follower = GyroTurn(), turning(0.3, 0.0, 0.2, bias_variance=bias_variance)
+    turn = GyroTurn()
     for k in range(int(50 * seconds) + 1):
-        turn = turn.after(0.02 * k, follower)
+        turn = turn.after(0.02 * k, (0.0, 0.0, 1.0), (0.3, 0.0, 0.2), bias_variance)
     return turn
 
 
@@ -49,10 +42,10 @@ def test_the_turn_since_a_measurement_has_a_correct_sigma():
     assert turn.angle == pytest.approx(2.0)
     assert turn.seconds == pytest.approx(10.0)
     assert math.radians(0.3) < turn.sigma < math.radians(1.0)
-    later = turn.after(20.0, turning(0.0, 0.0, 0.0))
+    later = turn.after(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
     assert math.isinf(later.sigma)
     # After a gap the turn is known again.
-    assert later.after(20.02, turning(0.0, 0.0, 0.2)).since(later).sigma < 0.01
+    assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
 
 
 def test_a_turn_is_less_certain_without_a_rest_and_after_minutes():
