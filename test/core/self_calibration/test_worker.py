@@ -115,8 +115,14 @@ def test_steel_beside_the_road_is_not_taken_for_added_iron(heading):
     proof = proved(road, step(road.time[0], OLD), old=RIGHT)
     assert proof.opposing > 1.5
     assert reason_to_accept(CandidateKind.IRON, proof) == ""
-    # Also if the quarter of headings beside the steel contributes more.
-    raised = proof.by_node + 40.0 * np.maximum(proof.by_node, 0.0)
-    explained = replace(proof, by_node=raised)
-    assert explained.gain > 8.0
+    # Also if one heading contributes very much, in both halves; without the others it is proved.
+    most = np.full(10, np.abs(proof.by_node).sum() + 2.0)
+    best = np.full(10, np.argmax(proof.by_sector))
+    explained = replace(
+        proof,
+        by_node=np.concatenate([most, proof.by_node, most]),
+        sector=np.concatenate([best, proof.sector, best]),
+    )
     assert reason_to_accept(CandidateKind.IRON, explained) == ""
+    unopposed = replace(explained, sector=np.full_like(explained.sector, best[0]))
+    assert reason_to_accept(CandidateKind.IRON, unopposed)
