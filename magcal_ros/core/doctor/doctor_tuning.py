@@ -88,18 +88,17 @@ class SingleSampleTuning:
     """Standard deviation of the accelerometer's lever arm from the turn's axis, metres."""
     walk_steps: int = 40  # of the gyro's random walk
     walk: float = math.radians(0.01)  # radians in a second, random walk of a noise-free gyro
-    steady: float = 1.5  # seconds over which the noise, and gravity at rest, is averaged
+    steady: float = 1.5  # seconds over which the noise is averaged
     least: float = 1e-3  # seconds, standard deviation of the stamps' systematic errors
     motors: float = 20e-6  # tesla, standard deviation of the motors' field in a turn
     turns: float = math.radians(5.0)  # rad/s from which the robot turns
     starts: float = 0.2  # seconds over which this rate is averaged, for the motors' start and end
     in_time: float = 5e-3  # seconds, standard deviation of a known latency
-    mean: float = 0.5  # seconds over which rates and forces of a turn are averaged
-    longest: float = 10.0  # seconds from a rest within which the gyro's attitude is used
-    lean: float = math.radians(0.2)  # radians, standard deviation of an attitude at rest
-    offset: float = 0.3  # m/s², standard deviation of the accelerometer's offset
-    independent: float = 5.0  # effective number of independent samples in all turns
-    beyond: float = 2.0  # times the acceleration that a turn on the spot explains
+    velocity: float = 5.0  # m/s, standard deviation of a vehicle's velocity in a turn
+    radius: float = 1.2
+    """Metres of a turn's radius from which it is no turn on the spot. A part of the acceleration is
+    taken for a lever arm: the smallest radius that is recognised in most turns is about 2 m."""
+    shown: float = 2.0  # sigmas of this radius
 
 
 FINE = SingleSampleTuning()

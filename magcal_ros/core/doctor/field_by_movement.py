@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
-from magcal_ros.core.doctor.alignment import BIAS, FIELD, IRON, LAG, UP
+from magcal_ros.core.doctor.alignment import FIELD, IRON, LAG, UP
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
@@ -185,7 +185,7 @@ def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: boo
     found = motors_field(log, hypothesis, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
         return undetermined("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, hypothesis.gyro, state[BIAS]):
+    if drove_while_turning(log, hypothesis.gyro):
         return undetermined("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))

@@ -21,7 +21,6 @@ from magcal_ros.core.doctor.alignment import (
     FIELD,
     IRON,
     LAG,
-    PARAMETERS,
     SCALE,
     SOFT,
     START_NOISE,
@@ -32,15 +31,14 @@ from magcal_ros.core.doctor.alignment import (
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
 from magcal_ros.core.doctor.doctor_tuning import (
     AXES,
-    ERRORS,
     FIELD_PRIORS,
     FINE,
     FORCE_PRIORS,
     AlignmentPriors,
 )
 from magcal_ros.core.doctor.segment import segment_of_log
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.arrays import FloatArray, running_mean
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.window import SensorLog, white_noise
@@ -58,6 +56,11 @@ class SingleSampleFit:
         for _ in range(2):
             state = fit.descend(state, fit.noise(state, 0), AXES.looks)
         self.state = state
+
+    @property
+    def rate(self) -> FloatArray:
+        """The corrected rates of the gyro, rad/s, shape (n, 3)."""
+        return np.asarray((1.0 + self.state[0, SCALE]) * self.fit.rate[0] - self.state[0, BIAS])
 
     def solve(self, more: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Fit all parameters, the gyro's random walk and `more` columns of unit prior (n, 3, m).
@@ -97,7 +100,7 @@ class SingleSampleFit:
     def motors_columns(self) -> FloatArray:
         """Return the columns, of unit prior, of the motors' field outside and in turns."""
         # The nose may be lifted by hand or by motors.
-        rate = (1.0 + self.state[0, SCALE]) * self.fit.rate[0] - self.state[0, BIAS]
+        rate = self.rate
         width = rows_in(FINE.starts, self.fit.segment.time)
         about_up = np.abs(rate @ unit(np.median(self.log.force, axis=0)))
         turning, moving = (
@@ -145,12 +148,10 @@ def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
     """Return the accelerometer's latency, as `field_latency`; only a changing tilt shows it."""
     found, lag = Belief.unknown(), 0.0
     for _ in range(AXES.looks):
-        fit = fit_of_the_force(log, hypothesis.gyro, lag)
+        fit = _fit_of_the_force(log, hypothesis.gyro, lag)
         if fit is None:
             break
-        start = fit.descend(fit.start(), START_NOISE, AXES.looks)
-        each = SingleSampleFit(fit, start, log, lag)
-        found = each.latency(each.lever_columns())
+        found = fit.latency(fit.lever_columns())
         if abs(found.value - lag) < AXES.settled:
             break
         lag = found.value
@@ -171,13 +172,14 @@ def _fit_of_the_field(
     return SingleSampleFit(fit, state, log, lag)
 
 
-def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
+def _fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> SingleSampleFit | None:
     """Return the fit of the force to a gyro with axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
     part = segment_of_log(gravity, lag, FINE.most, FINE.most)
     if part is None:
         return None
-    return AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
+    fit = AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
+    return SingleSampleFit(fit, fit.descend(fit.start(), START_NOISE, AXES.looks), log, lag)
 
 
 def rows_in(seconds: float, time: FloatArray) -> int:
@@ -204,64 +206,23 @@ def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     return np.asarray(each.reshape(*attitude.shape[:3], -1))
 
 
-def drove_while_turning(
-    log: SensorLog, gyro: FloatArray = np.eye(3), bias: FloatArray = np.zeros(3)
-) -> bool:
-    """Return whether the acceleration is beyond that of a turn on the spot; False if not shown.
+def drove_while_turning(log: SensorLog, gyro: FloatArray = np.eye(3)) -> bool:
+    """Return whether the robot's turns have a radius beyond a lever arm; False if not shown.
 
-    The log needs a gyro. Rows of `gyro` (3, 3) are its axes in the body's, and `bias` (3,) is its
-    approximate bias, rad/s.
+    The acceleration of a vehicle is the cross product of its turn rate and its velocity, which is
+    assumed to be constant in body axes. The log needs a gyro; rows of `gyro` (3, 3) are its axes in
+    the body's.
     """
-    fit = fit_of_the_force(log, gyro)
+    fit = _fit_of_the_force(log, gyro)
     if fit is None:
         return False
-    part, rate = fit.segment, fit.rate[0]
-    turned, up = rate - bias, unit(np.median(log.force, axis=0))
-    width = rows_in(FINE.mean, part.time)
-    still = running_mean(np.linalg.norm(turned, axis=1), width) < FINE.turns
-    about_up = running_mean(turned @ up, width)
-    rests = _ends_of_rests(still, rows_in(FINE.steady, part.time))
-    if not rests:
-        return False
-    away = np.abs(part.time[:, None] - part.time[[edge for edge, _ in rests]])
-    nearest, since = np.argmin(away, axis=1), away.min(axis=1)
-    seen = (np.abs(about_up) > FINE.turns) & (since < FINE.longest)
-    if seen.sum() * max(float(np.median(np.diff(part.time))), 1e-4) < FINE.mean:
-        return False
-    state = np.zeros((1, PARAMETERS))
-    state[:, BIAS] = np.median(rate[still], axis=0)
-    attitude = fit.propagate(state)[0][0]
-    force = np.column_stack([running_mean(axis, width) for axis in part.size * part.field.T])
-    world = np.einsum("nji,nj->ni", attitude, force)
-    gravity = np.array([world[rows].mean(axis=0) for _, rows in rests])
-    to_world = np.array([attitude[rows].mean(axis=0).T for _, rows in rests])
-    felt = force[seen] - np.einsum("nij,nj->ni", attitude[seen], gravity[nearest[seen]])
-    unsure = STANDARD_GRAVITY * np.hypot(ERRORS.at_rest * since[seen], FINE.lean)
-    allowed = np.hypot(AXES.lever * about_up[seen] ** 2, unsure)
-    left = _without_offset(felt, attitude[seen] @ to_world[nearest[seen]], up, allowed)
-    return bool(np.median(np.linalg.norm(left, axis=1) / allowed) > FINE.beyond)
-
-
-def _ends_of_rests(still: BoolArray, width: int) -> list[tuple[int, slice]]:
-    """Return the first and the last row of each rest, each with the rows that show gravity."""
-    found = []
-    for first, end in runs(still):
-        if end - first >= min(width, 3):
-            found.append((first, slice(first, min(first + width, end))))
-            found.append((end - 1, slice(max(end - width, first), end)))
-    return found
-
-
-def _without_offset(
-    felt: FloatArray, turned: FloatArray, up: FloatArray, sigma: FloatArray
-) -> FloatArray:
-    """Return the horizontal acceleration (n, 3) minus the part that an offset explains."""
-    # At rest the offset was taken for gravity, and rotated with gravity (n, 3, 3) from then on.
-    level = np.eye(3) - np.outer(up, up)
-    seen = felt @ level
-    design = level @ (np.eye(3) - turned)
-    share = FINE.independent / len(felt)
-    rows = share * design / sigma[:, None, None] ** 2
-    normal = np.einsum("nji,njk->ik", rows, design) + np.eye(3) / FINE.offset**2
-    offset = np.linalg.solve(normal, np.einsum("nji,nj->i", rows, seen))
-    return np.asarray(seen - design @ offset)
+    rate = fit.rate
+    by_velocity = FINE.velocity / fit.fit.segment.size * skews(rate)
+    found, covariance = fit.solve(np.concatenate([fit.lever_columns(), by_velocity], axis=2))
+    up = unit(np.median(log.force, axis=0))
+    level = FINE.velocity * (np.eye(3) - np.outer(up, up))
+    speed = float(np.linalg.norm(level @ found[-3:]))
+    off = math.sqrt(float(np.linalg.eigvalsh(level @ covariance[-3:, -3:] @ level)[-1]))
+    # The robot may also rest.
+    usual = float(np.quantile(np.abs(rate @ up), 0.8))
+    return usual > FINE.turns and speed > max(FINE.radius * usual, FINE.shown * off)
