@@ -169,11 +169,8 @@ class PossibleAxes:
         """The fault and its remedy, if gyro and accelerometer are right; empty without a fault."""
         if self.right:
             return ""
-        return (
-            f"{self.alternatives}. To tell which, {self.movement}"
-            if self.movement
-            else self.alternatives
-        )
+        which = f". To tell which, {self.movement}" if self.movement else ""
+        return self.alternatives + which
 
     @property
     def alternatives(self) -> str:

@@ -61,17 +61,17 @@ class AxesHypotheses:
     base: FloatArray
     """Chi-square, in independent samples, minus the best, without the inclination. Shape (k,)."""
     rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
-    parameters: FloatArray
-    sigma: FloatArray
-    """Parameters as in `AlignmentFit`, with the total latency, and their sigmas, (k, 23)."""
+    parameters: FloatArray  # as in `AlignmentFit`, with the total latency, (k, 23)
+    covariance: FloatArray
+    """Of the parameters; infinite for hypotheses that were dropped. Shape (k, 23, 23)."""
+    least_tilt: float  # as in `Alignment`, radians
     part: Segment  # the samples of the fit
-    found: Alignment  # the fit, which is the same for a field and its opposite
     inclination: Belief  # distinguishes a field from its opposite
 
     @cached_property
     def cost(self) -> FloatArray:
         """Chi-square with the inclination, shape (k,)."""
-        return np.asarray(self.base + _inclination_misfit(self.found, self.inclination))
+        return np.asarray(self.base + self._inclination_misfit())
 
     @property
     def misfit(self) -> FloatArray:
@@ -115,8 +115,27 @@ class AxesHypotheses:
 
     def hypothesis(self, k: int) -> AxesHypothesis:
         """Return hypothesis `k`."""
-        values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
-        return AxesHypothesis(*values, self.part)
+        sigma = np.sqrt(np.diag(self.covariance[k]))
+        return AxesHypothesis(self.gyro[k], self.field[k], self.parameters[k], sigma, self.part)
+
+    def _inclination_misfit(self) -> FloatArray:
+        """Return chi-square (k,) of the inclination by each hypothesis."""
+        dip = self.inclination
+        is_known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))
+        if dip.is_unknown:
+            return np.zeros(len(is_known))
+        up, field = unit(self.parameters[:, UP]), self.parameters[:, FIELD]
+        size = np.linalg.norm(field, axis=1)
+        along = np.sum(up * field, axis=1) / size
+        level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
+        slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
+        covariance = np.where(is_known[:, None, None], self.covariance[:, FIELD, FIELD], 0.0)
+        variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
+        # The gyro's drift looks like a small tilt, which does not determine the field.
+        variance += (AXES.attitude_error / max(self.least_tilt, 1e-6)) ** 2
+        variance += AXES.dip_sigma**2 + dip.sigma**2
+        measured = -np.arcsin(np.clip(along, -1.0, 1.0))
+        return np.where(is_known, (measured - dip.value) ** 2 / variance, 0.0)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by hypothesis `k`, radians."""
@@ -169,9 +188,9 @@ def compare_axes(
         base[twice] - base.min(),
         found.rms[twice],
         parameters,
-        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
+        found.covariance[twice],
+        found.least_tilt,
         part,
-        found,
         inclination,
     )
 
@@ -217,28 +236,6 @@ def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     plainly = rms > AXES.times * rms[np.argmin(misfit)]
     capped = np.minimum(misfit, AXES.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
-
-
-def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
-    """Return chi-square (2 k,) of the inclination by each field, then by their opposites."""
-    is_known = np.asarray(np.isfinite(found.covariance).all(axis=(1, 2)))
-    if dip.is_unknown:
-        return np.zeros(2 * len(is_known))
-    up, field = unit(found.parameters[:, UP]), found.parameters[:, FIELD]
-    size = np.linalg.norm(field, axis=1)
-    along = np.sum(up * field, axis=1) / size
-    level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
-    slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
-    covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
-    variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
-    # The gyro's drift looks like a small tilt, which does not determine the field.
-    variance += (AXES.attitude_error / max(found.least_tilt, 1e-6)) ** 2
-    variance += AXES.dip_sigma**2 + dip.sigma**2
-    measured = -np.arcsin(np.clip(along, -1.0, 1.0))
-    misfits = [
-        np.where(is_known, (sign * measured - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
-    ]
-    return np.concatenate(misfits)
 
 
 def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ import numpy as np
 from magcal_ros.core.doctor.axes_hypotheses import turns_in
 from magcal_ros.core.doctor.doctor_tuning import AXES
 from magcal_ros.core.doctor.segment import Segment
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 
 UNIT_ERRORS: tuple[tuple[float, str], ...] = (
@@ -45,9 +46,7 @@ def _by_the_gyro(segment: Segment) -> float | None:
 
     The movement by magnetic objects along a road is measured in spans without a turn.
     """
-    first, last, turn = turns_in(segment, AXES.span)
-    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
-    turned = np.linalg.norm(turn, axis=1)
+    change, turned = _changes(segment, AXES.span)
     most = float(np.max(turned, initial=0.0))
     quick, slow = turned > 0.5 * most, turned < 0.1 * most
     if quick.sum() < FEWEST_SPANS:
@@ -63,10 +62,16 @@ def _by_the_field(segment: Segment) -> float | None:
     A field that varies from place to place moves farther than by the turn: the unit is not wrong.
     """
     for span in AXES.span * 2.0 ** np.arange(4):
-        first, last, turn = turns_in(segment, span)
-        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+        change, turned = _changes(segment, span)
         moved = change > max(AXES.moved, 0.5 * float(np.max(change, initial=0.0)))
         if moved.sum() >= FEWEST_SPANS:
-            turned = np.linalg.norm(turn[moved], axis=1)
-            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
+            usual = float(np.median(turned[moved]))
+            return float(np.median(change[moved])) / max(usual, 1e-12)
     return None
+
+
+def _changes(segment: Segment, span: float) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the field, over its size, and the gyro's angle in spans of seconds."""
+    first, last, turn = turns_in(segment, span)
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+    return change, np.linalg.norm(turn, axis=1)

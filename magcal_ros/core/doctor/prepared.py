@@ -17,7 +17,7 @@ from magcal_ros.core.samples.gravity import gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
-def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+def means_between(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
     """Return the means (k, 3) between neighbouring edges (k + 1,); NaN if there are no values."""
     total = accumulated(values)
     rows = np.searchsorted(time, edges)
@@ -190,9 +190,9 @@ def _clock_shift(log: SensorLog) -> float:
     edges = np.arange(first, last + HEALTH.pace_step, HEALTH.pace_step)
     # A frozen sensor does not show when the robot turned.
     fresh = ~health.in_long_runs(health.repeats(log.rate))
-    gyro = np.linalg.norm(block_means(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
+    gyro = np.linalg.norm(means_between(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
     fresh = ~health.in_long_runs(health.repeats(log.field))
-    field = block_means(log.field_time[fresh], log.field[fresh], edges)
+    field = means_between(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
     # Peaks are cut: single jolts of both sensors would correlate at some shift by chance.
