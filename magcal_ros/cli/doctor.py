@@ -19,9 +19,9 @@ from magcal_ros.cli import recorded
 from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell_result
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.doctor.guide import ASKED, Guide
 from magcal_ros.core.doctor.health import (
-    TUNING,
     Finding,
     ok_or_warning,
     severe_finding,
@@ -126,13 +126,13 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--live is without a recording: leave out --live, or the recording")
     collected = listen(options) if options.recording is None else _recorded(options)
     log = SensorLog.of(collected.samples)
-    if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
+    if min(len(log.imu_time), len(log.field_time)) >= HEALTH.fewest:
         return _tell(options, collected.report_of(log), collected.knowledge.mounting.gains)
     facts = report_as_facts(SensorReport(collected.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = (
-        f"Too little data: {counts}. At least {TUNING.fewest} of each are needed: record for longer"
+        f"Too little data: {counts}. At least {HEALTH.fewest} of each are needed: record for longer"
     )
     tell_result(facts, f"{words}, or at a higher rate.", as_json=options.json)
     return Exit.TOO_LITTLE_DATA

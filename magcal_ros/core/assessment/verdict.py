@@ -41,7 +41,7 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.lever import gravity_size
+from magcal_ros.core.samples.gravity import gravity_size
 from magcal_ros.core.samples.units import (
     ROLLED,
     Z_NOT_UP,

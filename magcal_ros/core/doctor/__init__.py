@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     latency: force_latency
     prepared: prepare
     quirks: AK09916_IN_ICM20948 AK8963_IN_MPU9250 FIELD_POINTS_UP QUIRKS WRAP
+    segment: segment_of_log
     sensor_report: SensorReport examine examine_window refusal_by_sensors wrong_axes
     """,
 )

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypotheses
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypotheses
+from magcal_ros.core.doctor.doctor_tuning import AXES
 from magcal_ros.core.doctor.health import (
     Finding,
     ok_or_warning,
@@ -108,11 +109,11 @@ def _is_flipped(
     if given is None or other is None:
         return None
     turned = given.turned(given.best)
-    if turned_left is not None and abs(turned) > LIMITS.least_turn:
+    if turned_left is not None and abs(turned) > AXES.least_turn:
         # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
     worse = given.field_right - other.field_right
-    return None if abs(worse) < LIMITS.doubtful else worse > 0.0
+    return None if abs(worse) < AXES.doubtful else worse > 0.0
 
 
 STANDARD = np.eye(3)
@@ -151,7 +152,7 @@ class PossibleAxes:
     def dip_known(self) -> bool:
         """Whether the reference inclination distinguishes axes from their opposites."""
         dip = self.knowledge.reference.inclination
-        return not dip.is_unknown and abs(dip.value) > CLEAR * LIMITS.dip_sigma
+        return not dip.is_unknown and abs(dip.value) > CLEAR * AXES.dip_sigma
 
     @property
     def likeliest(self) -> FloatArray:
@@ -168,11 +169,8 @@ class PossibleAxes:
         """The fault and its remedy, if gyro and accelerometer are right; empty without a fault."""
         if self.right:
             return ""
-        return (
-            f"{self.alternatives}. To tell which, {self.movement}"
-            if self.movement
-            else self.alternatives
-        )
+        which = f". To tell which, {self.movement}" if self.movement else ""
+        return self.alternatives + which
 
     @property
     def alternatives(self) -> str:
@@ -211,8 +209,8 @@ class PossibleAxes:
 
 def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
     """Describe the likeliest of the candidates (k, 3, 3), with the number of the others."""
-    left = len(candidates) - LIMITS.most_named
-    words = [say(axes) for axes in candidates[: LIMITS.most_named]]
+    left = len(candidates) - AXES.most_named
+    words = [say(axes) for axes in candidates[: AXES.most_named]]
     return "; or ".join([*words, f"{left} more"] if left > 0 else words)
 
 
@@ -246,16 +244,16 @@ def diagnose_axes(
 ) -> AxesDiagnosis:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
     misfit, given = hypotheses.misfit, hypotheses.as_given
-    if hypotheses.rms[hypotheses.best] > LIMITS.worst_fit:
+    if hypotheses.rms[hypotheses.best] > AXES.worst_fit:
         finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return AxesDiagnosis((finding,))
-    remains = misfit < LIMITS.remains
+    remains = misfit < AXES.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
         # The user may have turned the wrong way while all sensors are right.
         turned = np.array([hypotheses.turned(k) for k in range(len(misfit))])
-        contrary = (np.abs(turned) > LIMITS.least_turn) & ((turned > 0.0) != turned_left)
-    if misfit[given] < 2.0 * LIMITS.remains:
+        contrary = (np.abs(turned) > AXES.least_turn) & ((turned > 0.0) != turned_left)
+    if misfit[given] < 2.0 * AXES.remains:
         return _all_agree(hypotheses, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -266,7 +264,7 @@ def diagnose_axes(
     fewest = [k for k in left if len(rank[k]) == least]
     # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = hypotheses.gyro, hypotheses.field
-    fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
+    fewest.sort(key=lambda k: (misfit[k] > AXES.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(hypotheses, fewest, rank, knowledge)
@@ -328,7 +326,7 @@ def _findings_on_axes(
             continue
         words, slip = AXES_REMEDIES[sensor]
         candidates = _distinct(hypotheses.gyro[alternatives])
-        is_asked = is_clear and len(candidates) > LIMITS.most_named
+        is_asked = is_clear and len(candidates) > AXES.most_named
         which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)

@@ -16,11 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import signed_permutations, skews
-from magcal_ros.core.knowledge import Belief
-from magcal_ros.core.samples.alignment import (
+from magcal_ros.core.doctor.alignment import (
     BIAS,
     FIELD,
     IRON,
@@ -28,47 +24,16 @@ from magcal_ros.core.samples.alignment import (
     NO_BIAS,
     SCALE,
     UP,
-    WIDE,
     Alignment,
     align,
 )
-from magcal_ros.core.samples.window import Segment, SensorLog, segment_of_log
-
-
-@dataclass(frozen=True)
-class HypothesisTuning:
-    """Priors of sensors that may be faulty, and limits of the hypotheses."""
-
-    remains: float = 20.0
-    """Chi-square, in independent samples, up to which a hypothesis is kept. From twice as much the
-    axes as given are called wrong, and beyond four times a hypothesis is not fitted."""
-    likely: float = 9.0  # chi-square up to which candidates are ordered by common mistakes
-    times: float = 2.0  # residual, relative to the best one, from which a fit is clearly worse
-    lift: float = math.radians(3.0)
-    """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
-    worst_fit: float = 0.3
-    """Residual, relative to the changing field, beyond which no hypothesis is accepted."""
-    dip_sigma: float = math.radians(3.0)
-    """Standard deviation, radians, that is added to that of a reference inclination."""
-    attitude_error: float = math.radians(0.5)  # radians, smallest error of a propagated attitude
-    most_named: int = 3  # candidates that are described for one sensor
-    most: int = 32  # hypotheses that are fitted
-    doubtful: float = 12.0
-    """Largest chi-square of field or gravity if soft iron or acceleration may explain it."""
-    good_fit: float = 0.06
-    """Residual, relative to the changing field, up to which small differences are significant."""
-    settled: float = 0.02  # seconds, change of the latency that ends the iteration
-    looks: int = 4  # largest number of iterations of the latency
-    least_turn: float = math.radians(40.0)  # radians, smallest turn between two attitudes
-    span: float = 0.6
-    """Seconds over which turns are compared: noise dominates shorter turns, bias longer ones."""
-    lever: float = 1.0
-    """Metres, standard deviation of the lever arm: from the elbow for a sensor that is swung by
-    hand, from the rear axle in a vehicle."""
-    rounds: int = 3  # iterations of the robust weights
-
-
-LIMITS = HypothesisTuning()
+from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
+from magcal_ros.core.doctor.segment import Segment, segment_of_log
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.rotations import signed_permutations, skews
+from magcal_ros.core.knowledge import Belief
+from magcal_ros.core.samples.window import SensorLog
 
 
 class AxesHypothesis(NamedTuple):
@@ -96,17 +61,17 @@ class AxesHypotheses:
     base: FloatArray
     """Chi-square, in independent samples, minus the best, without the inclination. Shape (k,)."""
     rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
-    parameters: FloatArray
-    sigma: FloatArray
-    """Parameters as in `AlignmentFit`, with the total latency, and their sigmas, (k, 23)."""
+    parameters: FloatArray  # as in `AlignmentFit`, with the total latency, (k, 23)
+    covariance: FloatArray
+    """Of the parameters; infinite for hypotheses that were dropped. Shape (k, 23, 23)."""
+    least_tilt: float  # as in `Alignment`, radians
     part: Segment  # the samples of the fit
-    found: Alignment  # the fit, which is the same for a field and its opposite
     inclination: Belief  # distinguishes a field from its opposite
 
     @cached_property
     def cost(self) -> FloatArray:
         """Chi-square with the inclination, shape (k,)."""
-        return np.asarray(self.base + _inclination_misfit(self.found, self.inclination))
+        return np.asarray(self.base + self._inclination_misfit())
 
     @property
     def misfit(self) -> FloatArray:
@@ -131,7 +96,7 @@ class AxesHypotheses:
     @property
     def fits_well(self) -> bool:
         """Whether the best fit is so good that small differences are significant."""
-        return bool(self.rms[self.best] < LIMITS.good_fit)
+        return bool(self.rms[self.best] < AXES.good_fit)
 
     @property
     def confirms_unit(self) -> bool:
@@ -140,18 +105,37 @@ class AxesHypotheses:
         In less than a quarter turn, some axes fit a field that varies from place to place, whatever
         the gyro's unit.
         """
-        axes_fit = bool(self.rms[self.as_given] < LIMITS.good_fit)
+        axes_fit = bool(self.rms[self.as_given] < AXES.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 
     def is_better(self, other: AxesHypotheses) -> bool:
         """Whether the axes as given explain the movement better than any axes in `other`."""
         own = self.rms[self.as_given]
-        return bool(own < min(LIMITS.worst_fit, float(other.rms.min())))
+        return bool(own < min(AXES.worst_fit, float(other.rms.min())))
 
     def hypothesis(self, k: int) -> AxesHypothesis:
         """Return hypothesis `k`."""
-        values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
-        return AxesHypothesis(*values, self.part)
+        sigma = np.sqrt(np.diag(self.covariance[k]))
+        return AxesHypothesis(self.gyro[k], self.field[k], self.parameters[k], sigma, self.part)
+
+    def _inclination_misfit(self) -> FloatArray:
+        """Return chi-square (k,) of the inclination by each hypothesis."""
+        dip = self.inclination
+        is_known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))
+        if dip.is_unknown:
+            return np.zeros(len(is_known))
+        up, field = unit(self.parameters[:, UP]), self.parameters[:, FIELD]
+        size = np.linalg.norm(field, axis=1)
+        along = np.sum(up * field, axis=1) / size
+        level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
+        slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
+        covariance = np.where(is_known[:, None, None], self.covariance[:, FIELD, FIELD], 0.0)
+        variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
+        # The gyro's drift looks like a small tilt, which does not determine the field.
+        variance += (AXES.attitude_error / max(self.least_tilt, 1e-6)) ** 2
+        variance += AXES.dip_sigma**2 + dip.sigma**2
+        measured = -np.arcsin(np.clip(along, -1.0, 1.0))
+        return np.where(is_known, (measured - dip.value) ** 2 / variance, 0.0)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by hypothesis `k`, radians."""
@@ -179,12 +163,12 @@ def compare_axes(
     proper = every[:24]
     log = replace(log, rate=log.rate - bias)
     part, lag = segment_of_log(log), 0.0
-    if part is None or most_turned(part) < LIMITS.least_turn:
+    if part is None or most_turned(part) < AXES.least_turn:
         return None
     senses = _fit_to_the_field(part, proper)
-    for _ in range(LIMITS.looks):
+    for _ in range(AXES.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = segment_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
+        nearer = segment_of_log(log, lag + more) if abs(more) > AXES.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
@@ -204,9 +188,9 @@ def compare_axes(
         base[twice] - base.min(),
         found.rms[twice],
         parameters,
-        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
+        found.covariance[twice],
+        found.least_tilt,
         part,
-        found,
         inclination,
     )
 
@@ -229,8 +213,8 @@ def _hypotheses_to_fit(
     # A vehicle's accelerations tilt gravity for a long time: only changes are compared.
     misfit, rms = gravity_misfit(segment, every)
     gravity = _limited(misfit, rms, senses.least_tilt > 0.0)
-    is_good = bool(senses.rms[senses.best] < LIMITS.good_fit)
-    lifted = senses.tilt > LIMITS.lift and senses.least_tilt > 0.0 and is_good
+    is_good = bool(senses.rms[senses.best] < AXES.good_fit)
+    lifted = senses.tilt > AXES.lift and senses.least_tilt > 0.0 and is_good
     against_field = _limited(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
@@ -238,9 +222,9 @@ def _hypotheses_to_fit(
     order = np.argsort(cost, kind="stable")
     gyro = order // len(proper)
     # A level turn leaves most axes of a gyro open: the axes as given are always included.
-    likely = (np.arange(len(order)) < LIMITS.most) | (gyro == 0)
+    likely = (np.arange(len(order)) < AXES.most) | (gyro == 0)
     right = (gyro == 0) & _are_right(field[order])
-    kept = (likely & (cost[order] - cost.min() < 4.0 * LIMITS.remains)) | right
+    kept = (likely & (cost[order] - cost.min() < 4.0 * AXES.remains)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
@@ -249,31 +233,9 @@ def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     # In a turn about one axis, unusually strong soft iron looks like other axes. Linear
     # acceleration does, too, if gravity does not show a lift that the gyro measures. Then only
     # clearly worse fits are excluded.
-    plainly = rms > LIMITS.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, LIMITS.doubtful)
+    plainly = rms > AXES.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, AXES.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
-
-
-def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
-    """Return chi-square (2 k,) of the inclination by each field, then by their opposites."""
-    is_known = np.asarray(np.isfinite(found.covariance).all(axis=(1, 2)))
-    if dip.is_unknown:
-        return np.zeros(2 * len(is_known))
-    up, field = unit(found.parameters[:, UP]), found.parameters[:, FIELD]
-    size = np.linalg.norm(field, axis=1)
-    along = np.sum(up * field, axis=1) / size
-    level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
-    slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
-    covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
-    variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
-    # The gyro's drift looks like a small tilt, which does not determine the field.
-    variance += (LIMITS.attitude_error / max(found.least_tilt, 1e-6)) ** 2
-    variance += LIMITS.dip_sigma**2 + dip.sigma**2
-    measured = -np.arcsin(np.clip(along, -1.0, 1.0))
-    misfits = [
-        np.where(is_known, (sign * measured - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
-    ]
-    return np.concatenate(misfits)
 
 
 def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -287,7 +249,7 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `axes` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(segment.seconds)
-    first, last, turn = turns_in(segment, LIMITS.span)
+    first, last, turn = turns_in(segment, AXES.span)
     if len(first) < 4:
         return np.zeros(len(axes)), np.zeros(len(axes))
     size = np.linalg.norm(segment.up, axis=1, keepdims=True)
@@ -308,11 +270,11 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = measured - moved
-    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [LIMITS.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [AXES.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(LIMITS.rounds):
+    for _ in range(AXES.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -320,10 +282,10 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, LIMITS.attitude_error)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, AXES.attitude_error)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, LIMITS.attitude_error))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, AXES.attitude_error))
 
 
 def turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:

@@ -9,30 +9,17 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.doctor.alignment import FIELD, IRON, SOFT
 from magcal_ros.core.doctor.axes_diagnosis import mount_of, parameter_line
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
+from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
 NAME = "axes: yaw by course"
 LONGER = "drive farther: straight, in several directions, and faster than walking pace"
-
-
-@dataclass(frozen=True)
-class AxesYawTuning:
-    """When a course determines the yaw of axes."""
-
-    vague: float = math.radians(12.0)  # largest sigma of a yaw that is used
-    near: float = math.radians(35.0)
-    """Largest difference from a multiple of 90°, which allows for an unknown declination."""
-    iron: float = 0.3
-    """Largest sigma of the hard iron, relative to the level field, of a usable compass."""
-
-
-TUNING = AxesYawTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +37,7 @@ def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse |
     if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
         return None
     level = float(np.linalg.norm(np.cross(state[FIELD], hypothesis.part.up[0])))
-    if not float(hypothesis.sigma[IRON].max()) < TUNING.iron * level:
+    if not float(hypothesis.sigma[IRON].max()) < ERRORS.iron * level:
         return None
     to_axes = hypothesis.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
@@ -77,17 +64,17 @@ def course_findings(
     acceleration. Both are in radians.
     """
     lines = []
-    knows_imu = imu_yaw.sigma < TUNING.vague
+    knows_imu = imu_yaw.sigma < ERRORS.vague_yaw
     if knows_imu:
         lines.append(_imu_yaw(imu_yaw))
-    if not gap.sigma < TUNING.vague:
+    if not gap.sigma < ERRORS.vague_yaw:
         return [*lines, undetermined("field_yaw", NAME, LONGER)], None
     quarters = round(gap.value / (0.5 * math.pi))
     evidence = (
         f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
         "course"
     )
-    if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > TUNING.near:
+    if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > ERRORS.near:
         return [*lines, ok_or_warning("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
@@ -112,5 +99,5 @@ def _imu_yaw(measured: Belief) -> Finding:
         f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
-    is_off = abs(measured.value) > TUNING.near
+    is_off = abs(measured.value) > ERRORS.near
     return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
+from magcal_ros.core.doctor.alignment import FIELD, IRON, LAG, UP
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
+from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
@@ -22,27 +24,9 @@ from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
-from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.units import unit_by_strength
 from magcal_ros.core.samples.window import SensorLog
 
-VAGUE = 0.1  # largest relative standard deviation of a strength that is used
-
-
-@dataclass(frozen=True)
-class PlaceTuning:
-    """Limits of the difference from the reference field, and of the motors' field."""
-
-    strength: float = 0.2  # relative difference
-    inclination: float = math.radians(8.0)  # radians
-    motors: float = 1.5e-6  # tesla, smallest field of the motors
-    clear: float = 5.0  # sigmas of the motors' field
-    turned_too_far: float = math.radians(25.0)
-    """Heading error by the motors' field from which the sensor should be moved. This field is half
-    the level field: a change of the motors' current by a tenth turns the heading by 3°."""
-
-
-TUNING = PlaceTuning()
 UNIT_FIRST = "correct the field's unit first, then check again"
 MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
@@ -61,7 +45,7 @@ OR_LATE = (
 
 def is_vague(strength: Belief) -> bool:
     """Return whether the movement does not determine this strength."""
-    return not strength.sigma <= VAGUE * strength.value
+    return not strength.sigma <= ERRORS.vague_strength * strength.value
 
 
 def strength_of(hypothesis: AxesHypothesis) -> Belief:
@@ -149,11 +133,11 @@ def reference_finding(
     if not believed.strength.is_unknown:
         spread = math.hypot(off, believed.strength.sigma)
         apart = abs(strength - believed.strength.value)
-        if apart > max(TUNING.strength * believed.strength.value, CLEAR * spread):
+        if apart > max(ERRORS.strength * believed.strength.value, CLEAR * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        limit = max(TUNING.inclination, CLEAR * spread)
+        limit = max(ERRORS.inclination, CLEAR * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
                 return ok_or_warning(
@@ -201,14 +185,14 @@ def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: boo
     found = motors_field(log, hypothesis, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
         return undetermined("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, hypothesis.gyro, state[BIAS]):
+    if drove_while_turning(log, hypothesis.gyro):
         return undetermined("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
     strength = float(np.linalg.norm(field))
-    is_seen = float(field @ np.linalg.solve(covariance, field)) > TUNING.clear**2
-    is_seen &= strength > TUNING.motors
-    if off > TUNING.motors and not is_seen:
+    is_seen = float(field @ np.linalg.solve(covariance, field)) > ERRORS.clear**2
+    is_seen &= strength > ERRORS.motors
+    if off > ERRORS.motors and not is_seen:
         return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
     level = hypothesis.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
     turned = math.atan2(strength, level)
@@ -217,8 +201,8 @@ def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: boo
         f"({words}) ± {off * 1e6:.1f} µT while the robot turns: up to {math.degrees(turned):.0f}° "
         "of heading"
     )
-    if strength <= TUNING.motors:
+    if strength <= ERRORS.motors:
         evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
-    remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
+    remedy = MOVE_THE_SENSOR if turned > ERRORS.turned_too_far else TURN_BETWEEN_RESTS
     remedy += "" if lag_is_shown else OR_LATE
     return ok_or_warning("motors", MOTORS, evidence, remedy * is_seen)

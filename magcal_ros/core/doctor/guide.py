@@ -7,12 +7,11 @@ is assumed to be right.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from magcal_ros.core.doctor.doctor_tuning import GUIDE
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -32,26 +31,6 @@ ASKED = {
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """The steps in words for the user."""
-
-
-@dataclass(frozen=True)
-class GuideTuning:
-    """When a step is done."""
-
-    block: float = 0.25  # seconds that are averaged
-    stand: float = 4.0  # seconds of rest of the first step
-    rest: float = 1.0  # seconds of rest that end a turn or a lift
-    still: tuple[float, float] = (math.radians(2.0), 0.06)
-    """Largest change at rest: of gravity, radians, and of the field, relative to its size."""
-    angle: float = math.radians(75.0)  # smallest turn by the gyro, radians
-    swing: float = 0.4
-    """Change of the field, relative to its size, that shows a turn without the gyro."""
-    stopped: float = 0.25  # largest pace at the end of a turn, relative to its fastest
-    lift: float = math.radians(8.0)  # smallest change of gravity's direction, radians
-    patience: float = 45.0  # seconds after which a step is given up
-
-
-TUNING = GuideTuning()
 
 
 class Guide:
@@ -92,7 +71,7 @@ class Guide:
 
     def left(self, now: float) -> float:
         """Return the seconds until the current step is given up."""
-        return max(TUNING.patience - (now - self._since), 0.0)
+        return max(GUIDE.patience - (now - self._since), 0.0)
 
     def skip(self, now: float) -> bool:
         """Give up the current step; return whether this is possible: the first step is needed."""
@@ -105,11 +84,11 @@ class Guide:
     def pass_time(self, now: float) -> bool:
         """Advance the time to `now`; return whether a step was done or given up."""
         step = self.current
-        if step is None or now - self._block_began < TUNING.block:
+        if step is None or now - self._block_began < GUIDE.block:
             return False
         self._close_block(now)
         is_detected = self._is_detected(step)
-        if is_detected or now - self._since > TUNING.patience:
+        if is_detected or now - self._since > GUIDE.patience:
             self._end(step, is_detected, now)
             return True
         return False
@@ -131,15 +110,15 @@ class Guide:
 
     def _is_detected(self, step: GuideStep) -> bool:
         if step is GuideStep.STAND:
-            return self._stands(TUNING.stand)
+            return self._stands(GUIDE.stand)
         assert self._resting is not None
         (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
         if step is GuideStep.TURN:
             swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
-            self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
+            self._done_moving |= abs(self._angle) > GUIDE.angle or swing > GUIDE.swing
         else:
-            self._done_moving |= angle_between(force, resting) > TUNING.lift
-        if not (self._done_moving and self._stands(TUNING.rest)):
+            self._done_moving |= angle_between(force, resting) > GUIDE.lift
+        if not (self._done_moving and self._stands(GUIDE.rest)):
             return False
         return step is not GuideStep.TURN or self._has_stopped()
 
@@ -148,22 +127,22 @@ class Guide:
         # Within `rest` seconds, a slow turn changes the field less than `still` allows.
         assert self._resting is not None
         _, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
-        by_gyro = abs(self._angle) > TUNING.angle
+        by_gyro = abs(self._angle) > GUIDE.angle
         moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
-        count = round(TUNING.rest / TUNING.block)
-        return bool(np.nanmax(pace[-count:]) < TUNING.stopped * np.nanmax(pace))
+        count = round(GUIDE.rest / GUIDE.block)
+        return bool(np.nanmax(pace[-count:]) < GUIDE.stopped * np.nanmax(pace))
 
     def _stands(self, seconds: float) -> bool:
         """Return whether gravity and field have not changed during the last `seconds`."""
-        count = max(2, round(seconds / TUNING.block))
+        count = max(2, round(seconds / GUIDE.block))
         if len(self._blocks) < count:
             return False
         last = np.array(self._blocks[-count:])
         force, _, field = last.mean(axis=0)
         if not np.isfinite([force, field]).all():
             return False
-        lean, swing = TUNING.still
+        lean, swing = GUIDE.still
         away = np.linalg.norm(last[:, 2] - field, axis=1)
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
         return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])

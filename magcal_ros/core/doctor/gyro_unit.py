@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.doctor.axes_hypotheses import turns_in
+from magcal_ros.core.doctor.doctor_tuning import AXES
+from magcal_ros.core.doctor.segment import Segment
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.samples.window import Segment
 
-
-@dataclass(frozen=True)
-class UnitTuning:
-    """How field and gyro are compared."""
-
-    unit_ratio: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
-    # Seconds over which field and gyro are compared: the shortest in which the field changes.
-    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
-    moved: float = 0.15  # smallest change of the field in a span that is used, relative to its size
-    below: float = 8.0
-    above: float = 2.2
-    """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
-
-
-TUNING = UnitTuning()
 UNIT_ERRORS: tuple[tuple[float, str], ...] = (
     (math.radians(1.0), "degrees/s published as rad/s"),
     (math.degrees(1.0), "rad/s converted from degrees twice"),
@@ -46,10 +32,10 @@ def rate_factors(segment: Segment) -> tuple[float, ...] | None:
     for rough in (_by_the_gyro(segment), _by_the_field(segment)):
         if rough is None:
             continue
-        if 1.0 / TUNING.unit_ratio < rough < TUNING.unit_ratio:
+        if 1.0 / AXES.unit_ratio < rough < AXES.unit_ratio:
             return None
         known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
-        near = tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
+        near = tuple(f for f in known if rough / AXES.below < f < rough * AXES.above)
         if near:
             return near
     return (1.0,)
@@ -60,9 +46,7 @@ def _by_the_gyro(segment: Segment) -> float | None:
 
     The movement by magnetic objects along a road is measured in spans without a turn.
     """
-    first, last, turn = turns_in(segment, TUNING.spans[0])
-    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
-    turned = np.linalg.norm(turn, axis=1)
+    change, turned = _changes(segment, AXES.span)
     most = float(np.max(turned, initial=0.0))
     quick, slow = turned > 0.5 * most, turned < 0.1 * most
     if quick.sum() < FEWEST_SPANS:
@@ -77,11 +61,17 @@ def _by_the_field(segment: Segment) -> float | None:
 
     A field that varies from place to place moves farther than by the turn: the unit is not wrong.
     """
-    for span in TUNING.spans:
-        first, last, turn = turns_in(segment, span)
-        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
-        moved = change > max(TUNING.moved, 0.5 * float(np.max(change, initial=0.0)))
+    for span in AXES.span * 2.0 ** np.arange(4):
+        change, turned = _changes(segment, span)
+        moved = change > max(AXES.moved, 0.5 * float(np.max(change, initial=0.0)))
         if moved.sum() >= FEWEST_SPANS:
-            turned = np.linalg.norm(turn[moved], axis=1)
-            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
+            usual = float(np.median(turned[moved]))
+            return float(np.median(change[moved])) / max(usual, 1e-12)
     return None
+
+
+def _changes(segment: Segment, span: float) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the field, over its size, and the gyro's angle in spans of seconds."""
+    first, last, turn = turns_in(segment, span)
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+    return change, np.linalg.norm(turn, axis=1)

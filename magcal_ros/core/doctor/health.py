@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
@@ -58,46 +59,6 @@ def undetermined(key: str, name: str, why: str) -> Finding:
     return Finding(key, name, Grade.GOOD, f"not shown: {why}")
 
 
-@dataclass(frozen=True)
-class HealthTuning:
-    """Limits of the faults of one stream, and of stamps from two clocks."""
-
-    jitter: float = 0.5  # RMS deviation of the gaps, relative to the usual gap, with a warning
-    repeats: float = 0.05  # fraction of samples that repeat the sample before
-    spikes: float = 0.05
-    """Fraction of samples that deviate from their neighbours, with a warning: places along a road
-    cause up to 4%."""
-    spiky_gap: float = 0.07  # seconds between samples up to which a movement causes no spikes
-    coarse: float = 0.5e-6  # tesla, resolution of the field
-    lattice: float = 0.05  # largest deviation of numbers from a grid, relative to its step
-    saturated: tuple[int, float] = (5, 1.5)
-    """Smallest number of cells, along the other two axes, in which a saturated axis is at its
-    extreme, and its ratio to the cells just below the extreme. A cell has a twentieth of the
-    field's size."""
-    quiet: float = 10e-9  # tesla, smallest noise of any magnetometer
-    rounding: float = 0.71  # apparent noise, in steps, of a number that rises half a step a sample
-    by_chance: float = 1e-6  # probability of a constant axis below which it is called stuck
-    gravity: float = 0.15  # relative difference of the usual specific force from gravity
-    fewest: int = 50  # samples below which a stream is not checked
-    field_noise: float = 3e-6
-    rate_noise: float = 0.3
-    """Noise per axis (1σ) with a warning, tesla and rad/s. Engine vibration gives about 0.1."""
-    frozen: float = 1.0  # seconds from which a repeated value is that of a frozen sensor
-    moving_rate: float = 0.09
-    moving_field: float = 0.2
-    """Deviation of the gyro from its median, rad/s, and change of the field relative to its range,
-    from which the robot moves."""
-    overlap: float = 0.5  # smallest overlap of two streams on one clock, relative to the shorter
-    pace_step: float = 0.1
-    longest: float = 7200.0
-    """Time step of the correlation of gyro and field, and the longest log for it, seconds."""
-    latency: float = 0.6  # seconds up to which a shift is a latency, not another clock
-    alike: float = 0.55
-    better: float = 0.2
-    """Smallest correlation at a larger shift, and its lead over those within a latency."""
-
-
-TUNING = HealthTuning()
 TURN_ON_THE_SPOT = (
     "a turn on the spot between two rests can be calibrated all the same, a drive cannot"
 )
@@ -145,7 +106,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
     )
     if are_samples_lost(deviations):
         remedy = "samples are lost: check the load of computer and network, and the queues' lengths"
-    return ok_or_warning("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
+    return ok_or_warning("stamps", f"{name}: stamps", evidence, remedy * (jitter > HEALTH.jitter))
 
 
 def are_samples_lost(deviations: FloatArray) -> bool:
@@ -172,7 +133,7 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     share = float(same[~long].mean()) if not long.all() else 0.0
     chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
     words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
-    too_many = share - chance > TUNING.repeats and share > 2.0 * chance
+    too_many = share - chance > HEALTH.repeats and share > 2.0 * chance
     return ok_or_warning("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
@@ -206,7 +167,7 @@ def field_findings(field: FloatArray) -> list[Finding]:
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
-    is_coarse = step > TUNING.coarse and not unit
+    is_coarse = step > HEALTH.coarse and not unit
     found.append(ok_or_warning("resolution", "field: resolution", evidence, words * is_coarse))
     full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max())
@@ -226,7 +187,7 @@ def field_findings(field: FloatArray) -> list[Finding]:
 def gravity_size_finding(force: FloatArray, size: float) -> Finding:
     """Check the size of gravity that specific forces (n, 3) show, m/s² as published."""
     hint = ""
-    if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
+    if abs(size / STANDARD_GRAVITY - 1.0) > HEALTH.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     off = size / STANDARD_GRAVITY - 1.0
     evidence = f"{vector_in_words(np.median(force, axis=0))} m/s², {size:.2f} in all, "
@@ -270,16 +231,16 @@ def stuck_axes(field: FloatArray) -> list[int]:
     """
     stuck = unchanging(field)
     others = np.delete(field, stuck, axis=1)
-    if not 0 < len(stuck) < 3 or len(field) < TUNING.fewest:
+    if not 0 < len(stuck) < 3 or len(field) < HEALTH.fewest:
         return []
     steps = np.array([_step(axis) for axis in others.T])
     # Rounding looks like noise, most on a slow rise, but does not change a constant number.
-    own = white_noise(others) ** 2 - (TUNING.rounding * steps) ** 2
+    own = white_noise(others) ** 2 - (HEALTH.rounding * steps) ** 2
     noise = math.sqrt(max(0.0, float(own.min())))
-    if noise < TUNING.quiet:
+    if noise < HEALTH.quiet:
         return []
     stays = math.erf(float(steps.max()) / (math.sqrt(8.0) * noise)) ** len(field)
-    return stuck if stays < TUNING.by_chance else []
+    return stuck if stays < HEALTH.by_chance else []
 
 
 def dead_axes(rate: FloatArray) -> list[int]:
@@ -307,8 +268,8 @@ def saturated(field: FloatArray, axis: int) -> BoolArray:
         below = ~at & (np.abs(values - extreme) < 4.5 * step)
         stands = len(np.unique(places[at], axis=0))
         if (
-            stands >= TUNING.saturated[0]
-            and stands > TUNING.saturated[1] * len(np.unique(places[below], axis=0))
+            stands >= HEALTH.saturated[0]
+            and stands > HEALTH.saturated[1] * len(np.unique(places[below], axis=0))
             and abs(extreme) == np.abs(values).max()
         ):
             return at
@@ -331,7 +292,7 @@ def _step(values: FloatArray) -> float:
     step = float(np.median(gaps[gaps < 1.5 * step]))
     near = gaps[gaps < 9.5 * step] / step
     off = np.abs(near - np.rint(near))
-    on_grid = len(near) > 0.5 * len(gaps) and float((off < TUNING.lattice).mean()) > 0.97
+    on_grid = len(near) > 0.5 * len(gaps) and float((off < HEALTH.lattice).mean()) > 0.97
     return step if on_grid else 0.0
 
 
@@ -342,7 +303,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     """
     field = float(white_noise(log.field).max())
     unit = likely_field_unit(usual_size(log.field))
-    is_noisy = field > TUNING.field_noise and not unit
+    is_noisy = field > HEALTH.field_noise and not unit
     words = (
         "the field is noisy: average in the driver, and move the sensor away from motors and their "
         "wires"
@@ -356,7 +317,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
         words = "the gyro is noisy: check its range, its low-pass filter and its mounting"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
         found.append(
-            ok_or_warning("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
+            ok_or_warning("imu_noise", "IMU: noise", evidence, words * (rate > HEALTH.rate_noise))
         )
     return found
 
@@ -364,7 +325,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
 def _spikes(log: SensorLog) -> list[Finding]:
     """Check for single wrong samples of a field that comes fast enough to show them."""
     usual_gap = float(np.median(np.diff(log.field_time)))
-    if len(log.field) < TUNING.fewest or usual_gap > TUNING.spiky_gap:
+    if len(log.field) < HEALTH.fewest or usual_gap > HEALTH.spiky_gap:
         return []
     share = 1.0 - float(np.mean(without_spikes(log.field)))
     words = (
@@ -372,4 +333,4 @@ def _spikes(log: SensorLog) -> list[Finding]:
         "stronger pull-up resistors or a slower clock)"
     )
     evidence = f"{share:.0%} of the samples deviate from their neighbours"
-    return [ok_or_warning("spikes", "field: spikes", evidence, words * (share > TUNING.spikes))]
+    return [ok_or_warning("spikes", "field: spikes", evidence, words * (share > HEALTH.spikes))]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.doctor.alignment import BIAS, NO_BIAS, SCALE
 from magcal_ros.core.doctor.axes_diagnosis import (
     AxesDiagnosis,
     PossibleAxes,
@@ -14,12 +15,12 @@ from magcal_ros.core.doctor.axes_diagnosis import (
     diagnose_axes,
 )
 from magcal_ros.core.doctor.axes_hypotheses import (
-    LIMITS,
     AxesHypotheses,
     AxesHypothesis,
     compare_axes,
     most_turned,
 )
+from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS
 from magcal_ros.core.doctor.gyro_unit import UNIT_ERRORS, rate_factors
 from magcal_ros.core.doctor.health import (
     Finding,
@@ -29,15 +30,15 @@ from magcal_ros.core.doctor.health import (
     undetermined,
     vector_in_words,
 )
-from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
+from magcal_ros.core.doctor.latency import field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
+from magcal_ros.core.doctor.segment import segment_of_log
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
-from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE
 from magcal_ros.core.samples.rest import LongestRest, longest_rest
 from magcal_ros.core.samples.units import slow_words
-from magcal_ros.core.samples.window import SensorLog, segment_of_log
+from magcal_ros.core.samples.window import SensorLog
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that determines all quantities of a report."""
@@ -61,24 +62,6 @@ MOVE_THE_SENSOR = (
     "the sensor away from motors, motor drivers and battery wires, and twist each pair of wires"
 )
 """Remedies if the field changes when the robot starts to turn."""
-
-
-@dataclass(frozen=True)
-class MotionTuning:
-    """Limits of the errors between the sensors."""
-
-    bias: float = math.radians(0.8)  # rad/s of the gyro's bias
-    scale: float = 0.03  # relative error of the gyro's scale
-    at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias measured at rest
-    confirmed: float = 0.4  # largest difference from the rate at rest, relative to the bias
-    lag: float = 0.015  # seconds between the sensors' stamps
-    vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
-    """Largest sigma of bias (rad/s), scale, and lag of field and of force (s) that is reported."""
-    largest_noise: float = 0.25
-    """Usual difference of successive samples, relative to the changing part, of mere noise."""
-
-
-TUNING = MotionTuning()
 
 
 GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
@@ -112,7 +95,7 @@ def compare(
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = segment_of_log(body)
     # The field must change by more than its noise.
-    if part is None or usual_size(np.diff(part.field, axis=0)) >= TUNING.largest_noise:
+    if part is None or usual_size(np.diff(part.field, axis=0)) >= ERRORS.largest_noise:
         return _nothing_shown(log, None, turned_left)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
@@ -121,7 +104,7 @@ def compare(
     factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
     beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
-    turns = most_turned(beside) >= LIMITS.least_turn
+    turns = most_turned(beside) >= AXES.least_turn
     stands_still = rest is not None and rest.is_certain and not turns
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
     if given is None:
@@ -183,7 +166,7 @@ def _nothing_shown(
     bias = undetermined("gyro_bias", "gyro: bias", why)
     findings = (
         undetermined("axes", "axes", why),
-        bias if rest is None else _bias(rest.rate, TUNING.at_rest, 1.0),
+        bias if rest is None else _bias(rest.rate, ERRORS.at_rest, 1.0),
         undetermined("rate_scale", "gyro: scale", why),
         undetermined("latency", "field: latency", why),
         check_gravity_direction(log, None, None, turned_left)[0],
@@ -216,23 +199,23 @@ def _gyro_errors(
     # In the gyro's own axes and scale, so that the driver can subtract it.
     bias = hypothesis.gyro @ state[BIAS] / (1.0 + state[SCALE])
     off = math.sqrt(float((hypothesis.gyro**2 @ sigma[BIAS] ** 2).max()))
-    if rest is not None and rest.is_certain and off > TUNING.vague[0]:
-        bias, off = rest.rate, TUNING.at_rest
+    if rest is not None and rest.is_certain and off > ERRORS.vague[0]:
+        bias, off = rest.rate, ERRORS.at_rest
     line = _bias(bias, off, factor)
     # A vehicle's accelerations look like a bias while it turns: a rest must confirm it.
-    most = max(TUNING.bias, TUNING.confirmed * float(np.linalg.norm(bias)))
+    most = max(ERRORS.bias, ERRORS.confirmed * float(np.linalg.norm(bias)))
     is_confirmed = rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
-    if off > TUNING.vague[0] or (line.is_wrong and not is_confirmed):
+    if off > ERRORS.vague[0] or (line.is_wrong and not is_confirmed):
         line = hidden
     return line, _scale(hypothesis, factor, restamped)
 
 
 def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Finding:
     scale, off = float(hypothesis.state[SCALE]), float(hypothesis.sigma[SCALE])
-    if restamped or off > TUNING.vague[1]:
+    if restamped or off > ERRORS.vague[1]:
         why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
         return undetermined("rate_scale", "gyro: scale", why)
-    too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
+    too_large = abs(scale) > max(ERRORS.scale, CLEAR * off)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that change the field during one turn look like a scale error.
     remedy = (
@@ -250,15 +233,15 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         "let the driver measure the gyro's bias while the robot stands, or subtract "
         f"({as_published}) from its rates"
     )
-    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, CLEAR * off)
+    too_large = float(np.linalg.norm(bias)) > max(ERRORS.bias, CLEAR * off)
     return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
 def _latencies(log: SensorLog, hypothesis: AxesHypothesis) -> list[Finding]:
     """Return the findings on both latencies; if they are equal, the gyro's stamps are early."""
-    field, field_lag = _shown(field_latency(log, hypothesis), TUNING.vague[2])
-    force, force_lag = _shown(force_latency(log, hypothesis), TUNING.vague[3])
-    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
+    field, field_lag = _shown(field_latency(log, hypothesis), ERRORS.vague[2])
+    force, force_lag = _shown(force_latency(log, hypothesis), ERRORS.vague[3])
+    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
         of_field = of_force = (
             f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
             "when it measures, and give it the accelerometer's low-pass filter"
@@ -283,17 +266,17 @@ def _latencies(log: SensorLog, hypothesis: AxesHypothesis) -> list[Finding]:
     ]
 
 
-def _shown(found: Latency | None, vague: float) -> tuple[Latency | None, float]:
+def _shown(found: Belief, vague: float) -> tuple[Belief | None, float]:
     """Return a latency, None if too uncertain, and its value in seconds, zero if too small."""
-    if found is None or not found.sigma < vague:
+    if not found.sigma < vague:
         return None, 0.0
-    is_small = abs(found.lag) < max(TUNING.lag, CLEAR * found.sigma)
-    return found, 0.0 if is_small else found.lag
+    is_small = abs(found.value) < max(ERRORS.lag, CLEAR * found.sigma)
+    return found, 0.0 if is_small else found.value
 
 
-def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
+def _latency(key: str, name: str, latency: Belief | None, tells: str, remedy: str) -> Finding:
     if latency is None:
         return undetermined(key, name, tells)
-    lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
+    lag, off = round(latency.value * 1e3), latency.sigma * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
     return ok_or_warning(key, name, how, remedy)

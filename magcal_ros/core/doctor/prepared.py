@@ -9,14 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor import health
-from magcal_ros.core.doctor.health import TUNING, Finding
+from magcal_ros.core.doctor.doctor_tuning import FINE, HEALTH
+from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
-from magcal_ros.core.samples.lever import gravity_size
+from magcal_ros.core.samples.gravity import gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
-def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+def means_between(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
     """Return the means (k, 3) between neighbouring edges (k + 1,); NaN if there are no values."""
     total = accumulated(values)
     rows = np.searchsorted(time, edges)
@@ -46,7 +47,7 @@ def prepare(log: SensorLog) -> CleanLog:
     for name, sensor, are_numbers in (("imu", "IMU", imu), ("field", "field", field)):
         time = getattr(log, f"{name}_time")
         increasing = np.unique(time)
-        if are_numbers.sum() <= TUNING.fewest or len(increasing) <= TUNING.fewest:
+        if are_numbers.sum() <= HEALTH.fewest or len(increasing) <= HEALTH.fewest:
             continue
         findings.append(health.stamps_finding(sensor, increasing))
         findings += health.numbers_findings(sensor, are_numbers)
@@ -57,16 +58,16 @@ def prepare(log: SensorLog) -> CleanLog:
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
     log = _selected(log, imu, field)
-    if len(log.field) > TUNING.fewest:
+    if len(log.field) > HEALTH.fewest:
         findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
-    if len(log.force) > TUNING.fewest:
+    if len(log.force) > HEALTH.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
         findings += [_gravity_size(log), health.repeats_finding("IMU", both)]
         findings.append(health.alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
             findings.append(health.alive_finding("gyro", log.rate, log.force))
     log = _without_duplicates(log)
-    if min(len(log.force), len(log.field)) > TUNING.fewest:
+    if min(len(log.force), len(log.field)) > HEALTH.fewest:
         log, clocks = on_one_clock(log)
         findings += clocks
     log, more = _without_frozen(log)
@@ -100,7 +101,7 @@ def _selected(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
 def _without_duplicates(log: SensorLog) -> SensorLog:
     """Leave out repeated and saturated samples, and those whose stamps do not increase."""
     held = np.zeros(len(log.field), dtype=np.bool_)
-    if len(log.field) > TUNING.fewest:
+    if len(log.field) > HEALTH.fewest:
         for axis in range(3):
             held |= health.saturated(log.field, axis)
     imu = _increasing(log.imu_time)
@@ -126,7 +127,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     for name, time, values in streams:
         for first, end in runs(health.repeats(values)):
             span = float(time[first - 1]), float(time[end - 1])
-            if span[1] - span[0] > TUNING.frozen and _moves(log, name, span):
+            if span[1] - span[0] > HEALTH.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: check its wiring, and its driver's error messages"
                 found.append(health.severe_finding("frozen", f"{name}: alive", words, remedy))
@@ -148,12 +149,12 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
-        if inside.any() and float((size[inside] > TUNING.moving_rate).mean()) > 0.2:
+        if inside.any() and float((size[inside] > FINE.turns).mean()) > 0.2:
             return True
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
-    least = TUNING.moving_field * float(np.ptp(log.field, axis=0).max())
+    least = HEALTH.moving_field * float(np.ptp(log.field, axis=0).max())
     return bool(inside.any() and np.ptp(log.field[inside], axis=0).max() > least)
 
 
@@ -168,7 +169,7 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    overlap = min(ends) - max(starts) > TUNING.overlap * shorter
+    overlap = min(ends) - max(starts) > HEALTH.overlap * shorter
     # Streams of one recording begin at about the same time.
     off = 0.0 if overlap else float(starts[1] - starts[0])
     off += _clock_shift(replace(log, field_time=log.field_time - off))
@@ -184,14 +185,14 @@ def _clock_shift(log: SensorLog) -> float:
     """Return how much later the field's stamps are than the gyro's, s; zero for a mere latency."""
     first = min(log.imu_time[0], log.field_time[0])
     last = max(log.imu_time[-1], log.field_time[-1])
-    if not log.has_gyro or last - first > TUNING.longest:
+    if not log.has_gyro or last - first > HEALTH.longest:
         return 0.0
-    edges = np.arange(first, last + TUNING.pace_step, TUNING.pace_step)
+    edges = np.arange(first, last + HEALTH.pace_step, HEALTH.pace_step)
     # A frozen sensor does not show when the robot turned.
     fresh = ~health.in_long_runs(health.repeats(log.rate))
-    gyro = np.linalg.norm(block_means(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
+    gyro = np.linalg.norm(means_between(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
     fresh = ~health.in_long_runs(health.repeats(log.field))
-    field = block_means(log.field_time[fresh], log.field[fresh], edges)
+    field = means_between(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
     # Peaks are cut: single jolts of both sensors would correlate at some shift by chance.
@@ -202,8 +203,8 @@ def _clock_shift(log: SensorLog) -> float:
         return 0.0
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
-    lag = np.fft.fftfreq(size, 1.0 / size) * TUNING.pace_step
-    near = float(alike[np.abs(lag) <= TUNING.latency].max())
+    lag = np.fft.fftfreq(size, 1.0 / size) * HEALTH.pace_step
+    near = float(alike[np.abs(lag) <= HEALTH.latency].max())
     best = int(np.argmax(alike))
-    plain = alike[best] > max(TUNING.alike, near + TUNING.better)
+    plain = alike[best] > max(HEALTH.alike, near + HEALTH.better)
     return float(lag[best]) if plain else 0.0

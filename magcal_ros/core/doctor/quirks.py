@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import Finding, ok_or_warning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations
@@ -140,19 +141,6 @@ def known_quirks(log: SensorLog, axes: FloatArray | None = None) -> list[Finding
     ]
 
 
-@dataclass(frozen=True)
-class YawTuning:
-    """Limits of the difference between the yaw of a driver's orientation and the magnetic yaw."""
-
-    declination: float = math.radians(25.0)  # largest in inhabited places, if no place is given
-    own: float = math.radians(8.0)
-    """Sigma of the mean error of a driver's own compass during a turn or a part of it."""
-    sigma: float = math.radians(15.0)  # largest sigma of a difference that is reported
-
-
-YAW = YawTuning()
-
-
 def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     """Compare the yaw of the driver's orientation with the field; empty without an orientation.
 
@@ -185,16 +173,16 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     level = left * np.linalg.inv(known)[:2, :2]
     across = np.array([-found[1], found[0]]) / float(found[:2] @ found[:2])
     sigma = math.sqrt(float(across @ level @ across))
-    if not sigma < YAW.sigma:
+    if not sigma < ERRORS.vague_yaw:
         return []
     off = math.remainder(math.atan2(found[1], found[0]) - 0.5 * math.pi, math.tau)
     declination = knowledge.reference.declination
-    least, most = -YAW.declination, YAW.declination
+    least, most = -ERRORS.declination, ERRORS.declination
     if declination is not None:
         least, most = min(-declination, 0.0), max(-declination, 0.0)
     sizes = f"{math.degrees(off):+.0f} ± {math.degrees(sigma):.0f}°"
     words = f"its yaw is {sizes} off the magnetic yaw (ENU)"
-    if max(least - off, off - most) < 3.0 * math.hypot(sigma, YAW.own):
+    if max(least - off, off - most) < 3.0 * math.hypot(sigma, ERRORS.own_yaw):
         return [ok_or_warning("orientation", "IMU: orientation", words)]
     words += (
         ": it counts from north instead of east, or it does not refer to north (game rotation "

@@ -29,11 +29,12 @@ from magcal_ros.core.doctor.health import (
 from magcal_ros.core.doctor.motion import compare
 from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
+from magcal_ros.core.doctor.segment import segment_of_log
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
-from magcal_ros.core.samples.window import SensorLog, Window, segment_of_log
+from magcal_ros.core.samples.window import SensorLog, Window
 
 UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
 
@@ -106,7 +107,7 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Sensor
     return replace(report, findings=tuple(kept))
 
 
-AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
+AXES_KEYS = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
 """Keys of the findings that explain why field, gyro and gravity disagree."""
 
 
@@ -177,7 +178,10 @@ def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -
 
 
 def _refusal_from_page(
-    window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
+    window: Window,
+    knowledge: Knowledge,
+    lines: tuple[str, ...] = AXES_KEYS,
+    least: Grade = Grade.WARN,
 ) -> Refusal | None:
     findings = examine_window(window, knowledge).findings
     remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]

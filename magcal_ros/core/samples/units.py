@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.lever import without_lever_arm
+from magcal_ros.core.samples.gravity import gravity_in_body
 from magcal_ros.core.samples.streams import STREAMS, SWAY, DropReason, Streams
 from magcal_ros.core.samples.window import Window
 
@@ -181,10 +181,10 @@ over."""
 def was_turned_over(window: Window) -> bool:
     """Return whether the sensor had no usual orientation, as if turned over by hand.
 
-    The mean direction of gravity is then short, and the robot's up is unknown. The acceleration of
-    a sensor that is swung by hand is subtracted first.
+    The mean direction of gravity is then short, and the robot's up is unknown.
     """
-    mean = unit(without_lever_arm(window)).mean(axis=0)
+    gravity = gravity_in_body(window.time, window.specific_force, window.angular_rate)
+    mean = unit(gravity).mean(axis=0)
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 

@@ -20,9 +20,10 @@ from magcal_ros.core.doctor import (
     force_latency,
     gravity_misfit,
     prepare,
+    segment_of_log,
 )
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
-from magcal_ros.core.samples import SensorLog, segment_of_log
+from magcal_ros.core.samples import SensorLog
 from magcal_ros.core.simulation import DEGREE, Robot
 
 MOST_SEEN = "half minute"
@@ -183,7 +184,7 @@ def test_the_sigma_of_a_latency_is_correct():
         log = prepare(case.log).log
         hypotheses = compare_axes(log, case.knowledge.reference.inclination)
         latency = force_latency(log, hypotheses.hypothesis(hypotheses.best))
-        errors.append(latency.lag / latency.sigma)
+        errors.append(latency.value / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.doctor.doctor_tuning import WIDE, AlignmentPriors
+from magcal_ros.core.doctor.segment import Segment
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import (
     chained,
@@ -22,30 +24,7 @@ from magcal_ros.core.geometry.rotations import (
     signed_permutations,
     skews,
 )
-from magcal_ros.core.samples.window import Segment
 
-
-@dataclass(frozen=True)
-class AlignmentTuning:
-    """Priors while candidate axes are compared.
-
-    They allow a gyro bias of 5 °/s, a scale error of a fifth, and half a second of latency.
-    """
-
-    installation: float = math.radians(5.0)
-    """Radians, standard deviation of the installation error about each axis."""
-    soft_iron: float = 0.05  # standard deviation of each element of the soft iron, dimensionless
-    bias: float = math.radians(6.0)  # rad/s, standard deviation of the gyro's bias
-    scale: float = 0.2  # standard deviation of the gyro's scale error
-    lag: float = 0.3  # seconds, standard deviation of the field's latency
-    hard_iron: float = 4.0  # standard deviation of the hard iron over the field's size
-    field_floor: float = 0.01
-    up_floor: float = math.radians(2.0)
-    """Least noise that is assumed: over the field's size, and radians."""
-    freedom: float = 4.0  # degrees of freedom of the t distribution of the residuals
-
-
-WIDE = AlignmentTuning()
 START_NOISE = np.array([0.1, 0.1])
 """Noise of field (over its size) and up (radians) in the first rounds: wide, for all to move."""
 NO_BIAS = np.zeros(3)
@@ -159,7 +138,7 @@ class AlignmentFit:
         segment: Segment,
         axes: FloatArray,
         gyro: FloatArray,
-        tuning: AlignmentTuning,
+        tuning: AlignmentPriors,
         with_up: bool = True,
     ) -> None:
         self.tuning = tuning
