@@ -120,19 +120,10 @@ class CourseTuning:
     relative_sigma: float = 0.3
     """Relative error of neighbouring fixes, metres; not the absolute accuracy."""
     remembered: int = 200  # ticks kept for chords that end late
-    span: float = 60.0
-    chords: int = 8
-    """Seconds of straight driving that are tested for drift, and the fewest chords in them."""
-    scatter: float = math.radians(10.0)
-    """Largest scatter of course minus gyro yaw, radians; boats exceed it."""
-    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
-    turned: float = math.radians(5.0)
-    """Least turning that shows whether the course follows the heading, radians RMS."""
-    share: float = 0.5
+    together: float = 10.0  # largest time between chords that are compared for drift, seconds
+    share: float = 0.3
     """Least fraction of a hull's turning that the course does not follow; zero on wheels."""
-    cell: float = 10.0  # initial side of a cell, metres; doubled when there are too many cells
-    sectors: int = 8  # sectors of course in a cell
-    most_cells: int = 400  # cells kept
+    most: int = 400  # newest chords that are kept: a few kilometres
     reach: float = 30.0  # correlation length of the local disturbance, metres
     wave_sigma: float = math.radians(3.0)
     """Prior sigma of the harmonics, radians: residual hard iron and soft iron."""
@@ -140,12 +131,12 @@ class CourseTuning:
     """Noise of compass minus course in addition to streets and fixes, radians: slip, camber, lanes,
     the compass."""
     street: float = math.radians(7.0)
-    street_weight: float = 4.0
+    prior_weight: float = 4.0
     """Prior size of the yaw error by local disturbances, radians, and weight in observations."""
     freedom: float = 5.0  # degrees of freedom of the Student weights
     swing_share: float = 0.5
     """Fraction of a swing in the offset's sigma: its cause may have been present temporarily."""
-    fewest: int = 5  # cells before the first fit
+    fewest: int = 5  # chords before the first fit
 
 
 SPEED, ACCELERATION = SpeedTuning(), VehicleAccelerationTuning()

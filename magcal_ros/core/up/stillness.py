@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.slope import Slope
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     cross,
@@ -205,7 +206,7 @@ class GyroCheck:
 
     def __init__(self) -> None:
         self.is_believed = True
-        self._together = self._expected = self._seen = self._count = self._noise = 0.0
+        self._slope, self._noise = Slope(CHECK.memory), 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -241,24 +242,15 @@ class GyroCheck:
         # A direction fixed in the world changes in the body by u x w dt.
         expected = cross(old, interpolate(old_turn, self._turn, 0.5))
         seen = minus(new, old)
-        keeps = math.exp(-seconds / CHECK.memory)
-        self._together = keeps * self._together + dot(expected, seen)
-        self._expected = keeps * self._expected + dot(expected, expected)
-        self._seen = keeps * self._seen + dot(seen, seen)
-        self._count = keeps * self._count + 3.0
+        self._slope.add(dot(expected, seen), dot(expected, expected), dot(seen, seen), seconds, 3.0)
         # The noise across the force, in the mean of two turns.
-        self._noise = keeps * self._noise + self._variance
-        if self._expected > CHECK.enough**2 + CHECK.clear_noise * self._noise:
-            self._judge()
-
-    def _judge(self) -> None:
-        explained = self._together / self._expected
-        left = max(0.0, self._seen - explained * self._together)
-        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._expected)
-        if explained + CLEAR * sigma < CHECK.mirrored:
-            self.is_believed = False
-        elif explained - CLEAR * sigma > CHECK.mirrored:
-            self.is_believed = True
+        self._noise = math.exp(-seconds / CHECK.memory) * self._noise + self._variance
+        if self._slope.predicted > CHECK.enough**2 + CHECK.clear_noise * self._noise:
+            least, most = self._slope.bounds(CLEAR)
+            if most < CHECK.mirrored:
+                self.is_believed = False
+            elif least > CHECK.mirrored:
+                self.is_believed = True
 
 
 class DeadAxes:
