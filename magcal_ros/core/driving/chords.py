@@ -34,6 +34,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
+from magcal_ros.core.knowledge import STREET_LENGTH
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, PositionSample, VelocitySample
 
 Axes = tuple[Triple, Triple, Triple]
@@ -303,10 +304,10 @@ def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
     design = np.column_stack([np.ones(count), *waves])
     prior = np.diag([1e-3, *4 * [1.0 / COURSE.wave_sigma]]) ** 2
     distance = np.hypot(east[:, None] - east, north[:, None] - north)
-    alike = np.exp(-distance / COURSE.reach)
+    alike = np.exp(-distance / STREET_LENGTH)
     noise = sigma**2 + COURSE.noise**2
     # Observations are counted by place: repeated passes add no independent information.
-    squares = np.floor(np.column_stack([east, north]) / COURSE.reach)
+    squares = np.floor(np.column_stack([east, north]) / STREET_LENGTH)
     places = len(np.unique(squares, axis=0))
     weight, street = np.ones(count), COURSE.street
     for _ in range(MOUNTING.rounds):
@@ -325,7 +326,7 @@ def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
     # Passes of a street are not independent: each place counts once, with its first chord.
     first: list[int] = []
     for each in range(count):
-        if not first or distance[each, first].min() > 0.5 * COURSE.reach:
+        if not first or distance[each, first].min() > 0.5 * STREET_LENGTH:
             first.append(each)
     own_spread = spread[np.ix_(first, first)]
     information = design[first].T @ np.linalg.solve(own_spread, design[first]) + prior

@@ -27,6 +27,7 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import TUNING as RESTED
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.filter import CHECK, REST
 
 
@@ -50,7 +51,7 @@ class FieldStillness:
         """Add a raw field sample (any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
-        if not 0.0 < seconds < REST.field_lasts:
+        if not 0.0 < seconds < STREAMS.longest_field_gap:
             self.mean, self._noise = field, 0.0
             self.begin()
         else:
@@ -68,7 +69,7 @@ class FieldStillness:
 
     def is_heard(self, stamp: float) -> bool:
         """Whether a field sample came shortly before a stamp."""
-        return abs(stamp - self._stamp) < REST.field_lasts
+        return abs(stamp - self._stamp) < STREAMS.longest_field_gap
 
     def has_turned(self, rate: float) -> bool | None:
         """Whether the robot really turns at a rate; None while the field is inconclusive.
@@ -116,7 +117,7 @@ class SteadyInterval:
         """
         force, rate, count, seconds = block
         if self.count:
-            alike = REST.alike * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = CLEAR * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
                 distance(force, self.force) < REST.loose + alike * noise
                 and distance(rate, self.rate) < REST.loose_rate + alike * rate_noise
@@ -228,7 +229,8 @@ class GyroCheck:
         self._turn = plus(self._turn, turn)
         self._seconds += seconds
         self._variance += variance
-        clear = CHECK.clear_turn**2 * self._variance
+        # A turn clearly beyond the gyro's noise is compared at once.
+        clear = CLEAR**2 * self._variance
         if self._seconds < CHECK.span and dot(self._turn, self._turn) <= clear:
             return
         mean, before = scaled(self._force, 1.0 / self._seconds), self._before
@@ -247,9 +249,10 @@ class GyroCheck:
         self._noise = math.exp(-seconds / CHECK.memory) * self._noise + self._variance
         if self._slope.predicted > CHECK.enough**2 + CHECK.clear_noise * self._noise:
             least, most = self._slope.bounds(CLEAR)
-            if most < CHECK.mirrored:
+            # The slope of a correct gyro is one, of a mirrored one minus one.
+            if most < 0.0:
                 self.is_believed = False
-            elif least > CHECK.mirrored:
+            elif least > 0.0:
                 self.is_believed = True
 
 
