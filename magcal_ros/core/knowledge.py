@@ -14,6 +14,9 @@ INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
+STREET_LENGTH = 30.0
+"""Correlation length of the local disturbance along a path, metres; 25 to 30 m in cities."""
+
 CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
 

@@ -13,13 +13,14 @@ from __future__ import annotations
 import cmath
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SPEED
-from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.geometry.vec3 import (
     Triple,
@@ -33,9 +34,11 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
+from magcal_ros.core.knowledge import STREET_LENGTH
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, PositionSample, VelocitySample
 
 Axes = tuple[Triple, Triple, Triple]
+SECTORS = 8
 
 
 class Tick(NamedTuple):
@@ -163,6 +166,7 @@ class Chords:
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
         self._place = (0.0, 0.0)
         self._velocity: VelocitySample | None = None
+        self._driven = 0.0  # metres since the last chord by velocity
         self._placed_at = -math.inf
 
     def add_yaw(self, yaw: float) -> None:
@@ -193,6 +197,7 @@ class Chords:
         self._looked.clear()
         self._waiting.clear()
         self._anchor = self._velocity = None
+        self._driven = 0.0
         self._placed_at = -math.inf
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
@@ -219,14 +224,19 @@ class Chords:
         before, self._velocity = self._velocity, fix
         speed = math.hypot(fix.east, fix.north)
         seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= COURSE.longest:
+        if not 0.0 < seconds <= COURSE.longest or speed <= 0.0:
             return None
         shift = seconds * complex(fix.east, fix.north)
         if fix.stamp - self._placed_at > COURSE.longest:
             x, y = self._place
             self._place = (x + shift.real, y + shift.imag)
+        self._driven += abs(shift)
+        if self._driven < COURSE.shortest:
+            return None
+        ahead = shift / abs(shift) * self._driven
+        self._driven = 0.0
         span = fix.stamp - 0.5, fix.stamp + 0.1
-        return self._chord(span, self._place, shift, fix.sigma / max(speed, 1e-9))
+        return self._chord(span, self._place, ahead, fix.sigma / speed)
 
     def _chord(
         self, span: tuple[float, float], place: tuple[float, float], shift: complex, sigma: float
@@ -263,59 +273,6 @@ class Chords:
 
 
 @dataclass(frozen=True, eq=False)
-class CellTable:
-    """Cells in arrays, one row each."""
-
-    gap: FloatArray  # mean yaw of the compass minus course, radians, shape (n,)
-    course: FloatArray  # mean, ENU, radians, shape (n,)
-    place: FloatArray  # mean, metres, shape (n, 2)
-    variance: FloatArray  # of a chord's course, radians squared, shape (n,)
-    count: FloatArray  # chords, shape (n,)
-    metres: FloatArray  # length of path, shape (n,)
-    first: FloatArray  # number of the first chord, shape (n,)
-
-
-class CourseCells:
-    """A grid over places and courses, with `side` in metres; a full grid is made coarser."""
-
-    def __init__(self) -> None:
-        self.side = COURSE.cell
-        self.chords = 0
-        self._cells: dict[tuple[int, int, int], tuple[ComplexArray, int]] = {}
-
-    def __len__(self) -> int:
-        return len(self._cells)
-
-    def add(self, chord: Chord) -> None:
-        """Add a chord."""
-        self.chords += 1
-        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
-        place = chord.east, chord.north
-        self._put(np.array([gap, course, *place, chord.sigma**2, 1.0, chord.metres]), self.chords)
-        while len(self._cells) > COURSE.most_cells:
-            self.side *= 2.0
-            before, self._cells = self._cells, {}
-            for sums, first in before.values():
-                self._put(sums, first)
-
-    def _put(self, sums: ComplexArray, first: int) -> None:
-        """Add sums over chords to their cell, with the number of the first chord."""
-        east, north = (math.floor(x / (sums[5].real * self.side)) for x in sums[2:4].real)
-        sector = round(cmath.phase(sums[1]) / math.tau * COURSE.sectors) % COURSE.sectors
-        others, earlier = self._cells.get((east, north, sector), (0.0, first))
-        self._cells[east, north, sector] = sums + others, min(first, earlier)
-
-    def table(self) -> CellTable:
-        """Return the cells in arrays."""
-        sums = np.array([sums for sums, _ in self._cells.values()]).reshape(-1, 7)
-        gap, course = np.angle(sums[:, :2]).T
-        count = sums[:, 5].real
-        means = sums[:, 2:5].real / count[:, None]
-        first = np.array([first for _, first in self._cells.values()], dtype=np.float64)
-        return CellTable(gap, course, means[:, :2], means[:, 2], count, sums[:, 6].real, first)
-
-
-@dataclass(frozen=True, eq=False)
 class CourseOffset:
     """Offset and swing of the compass against course."""
 
@@ -335,25 +292,26 @@ class CourseOffset:
         return float(np.hypot(*pair)), math.sqrt(float(pair @ np.linalg.solve(own, pair)))
 
 
-def fit_course_offset(cells: CellTable) -> CourseOffset | None:
-    """Fit the offset; None until there are enough cells."""
-    psi, count = cells.course, len(cells.gap)
+def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
+    """Fit the offset to chords in the order of their stamps; None until there are enough."""
+    count = len(chords)
     if count < COURSE.fewest:
         return None
-    start = _cluster(cells)
-    gap = wrap_angle(cells.gap - start)
+    _, east, north, psi, gaps, _, sigma, metres = np.array(chords).T
+    start = _cluster(gaps)
+    gap = wrap_angle(gaps - start)
     waves = (np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi))
     design = np.column_stack([np.ones(count), *waves])
     prior = np.diag([1e-3, *4 * [1.0 / COURSE.wave_sigma]]) ** 2
-    away = cells.place[:, None] - cells.place[None]
-    distance = np.hypot(away[..., 0], away[..., 1])
-    alike = np.exp(-distance / COURSE.reach)
-    noise = (cells.variance + COURSE.noise**2) / cells.count
+    distance = np.hypot(east[:, None] - east, north[:, None] - north)
+    alike = np.exp(-distance / STREET_LENGTH)
+    noise = sigma**2 + COURSE.noise**2
     # Observations are counted by place: repeated passes add no independent information.
-    places = len(np.unique(np.floor(cells.place / COURSE.reach), axis=0))
+    squares = np.floor(np.column_stack([east, north]) / STREET_LENGTH)
+    places = len(np.unique(squares, axis=0))
     weight, street = np.ones(count), COURSE.street
     for _ in range(MOUNTING.rounds):
-        # A cell with a low weight has a larger local disturbance.
+        # A chord with a low weight has a larger local disturbance.
         root = np.sqrt(weight)
         spread = (street**2 * alike + np.diag(noise)) / np.outer(root, root)
         solved = np.linalg.solve(spread, np.column_stack([design, gap]))
@@ -363,13 +321,15 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
         weight = (COURSE.freedom + 1.0) / (COURSE.freedom + left**2 / (street**2 + noise))
         own = np.sqrt(weight) * left
         square = float(own @ np.linalg.solve(alike + np.diag(noise / street**2), own)) / count
-        pseudo = COURSE.street_weight
+        pseudo = COURSE.prior_weight
         street = math.sqrt((pseudo * COURSE.street**2 + places * square) / (pseudo + places))
-    # Both directions of a street are not independent: only the one driven first counts.
-    near = distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
-    is_back = near & (np.cos(psi[:, None] - psi) < 0.0) & (cells.first < cells.first[:, None])
-    kept = ~is_back.any(axis=1)
-    information = design[kept].T @ np.linalg.solve(spread[kept][:, kept], design[kept]) + prior
+    # Passes of a street are not independent: each place counts once, with its first chord.
+    first: list[int] = []
+    for each in range(count):
+        if not first or distance[each, first].min() > 0.5 * STREET_LENGTH:
+            first.append(each)
+    own_spread = spread[np.ix_(first, first)]
+    information = design[first].T @ np.linalg.solve(own_spread, design[first]) + prior
     # Iron that is present for a part of the drive causes a swing, and an error of the offset that
     # the scatter of streets does not show.
     swing = float(np.sum(values[1:] ** 2) - np.trace(covariance[1:, 1:]))
@@ -380,19 +340,18 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
         math.sqrt(covariance[0, 0]),
         values[1:],
         covariance,
-        float(np.sum(cells.metres)),
-        len(np.unique(np.round(psi / math.tau * COURSE.sectors) % COURSE.sectors)),
+        float(np.sum(metres)),
+        len(np.unique(np.round(psi / math.tau * SECTORS) % SECTORS)),
     )
 
 
-def _cluster(cells: CellTable) -> float:
+def _cluster(gaps: FloatArray) -> float:
     """Return the centre of most gaps: a reweighted mean, from the densest value."""
     grid = np.linspace(-math.pi, math.pi, 72, endpoint=False)
-    weight = np.minimum(cells.count, 3.0)
-    near = np.exp(-((wrap_angle(cells.gap - grid[:, None]) / math.radians(15.0)) ** 2))
-    centre = float(grid[np.argmax(near @ weight)])
+    near = np.exp(-((wrap_angle(gaps - grid[:, None]) / math.radians(15.0)) ** 2))
+    centre = float(grid[np.argmax(near.sum(axis=1))])
     for _ in range(10):
-        gap = wrap_angle(cells.gap - centre)
-        own = weight / (1.0 + (gap / COURSE.street) ** 2)
-        centre += float(own @ gap / np.sum(own))
+        gap = wrap_angle(gaps - centre)
+        weight = 1.0 / (1.0 + (gap / COURSE.street) ** 2)
+        centre += float(weight @ gap / np.sum(weight))
     return centre

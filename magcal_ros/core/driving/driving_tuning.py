@@ -34,11 +34,11 @@ class SpeedTuning:
     that is interpolated, seconds."""
     receiver_delay: float = 0.5
     """Latency of a receiver's stamps until it is measured, seconds; .4 to .8 were seen."""
-    remembered: int = 6000  # samples kept of a source: ten minutes at 10 Hz
-    shortest: float = 0.045
-    """Shortest interval of samples that are used, and half of that of samples kept for minutes,
-    seconds; the others are skipped."""
-    newest: int = 512  # newest samples, for the present speed and for jumps
+    remembered: int = 12000  # samples kept of a source: ten minutes at 20 Hz
+    shortest: float = (
+        0.045  # shortest interval of samples that are used, seconds; others are skipped
+    )
+    counted: float = 500.0  # newest samples of which impossible jumps are counted
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,11 @@ class VehicleAccelerationTuning:
         default_factory=lambda: dict(zip(SpeedSource, (0.05, 0.3, 0.6), strict=True))
     )
     """m/s below which the vehicle may be at rest."""
-    oldest: float = 4.5
-    """Largest age of a matched tick, over which the gyro propagates up, seconds; and the pause
-    after a time in which nothing could be subtracted."""
-    latest: float = 2.5  # largest latency of a usable speed, seconds
+    oldest: float = 3.5
+    """Largest latency of a usable speed, and age of a matched tick, over which the gyro propagates
+    up, seconds; also the pause after a time in which nothing could be subtracted."""
     watched: int = 60  # ticks over which it is tested whether the speed explains the force: 15 s
     fewest: int = 12  # of these ticks before anything is subtracted
-    gain: float = 0.4  # largest fraction of the force's variance that an adequate speed leaves
     along: float = 0.25
     """Least fraction of the changes of velocity that are starts and stops, for fixes."""
     quiet: float = 0.3  # m/s², scatter of the force that needs no explanation
@@ -82,7 +80,6 @@ class MountingYawTuning:
     smooth: int = 4  # ticks of the low-pass, one second: latency and vibration
     highpass: int = 80
     """Ticks of the running mean that is subtracted, 20 s: slopes and the accelerometer's bias."""
-    moving: float = 0.15  # m/s, a slower vehicle is at rest
     block: float = 10.0  # seconds within which errors count as fully correlated
     lever_sigma: float = 1.0  # prior sigma of the IMU's distance from the rear axle, metres
     scale: float = 0.2
@@ -93,7 +90,8 @@ class MountingYawTuning:
     first_energy: float = 4.0
     """The same for a usable yaw, and for the force while a speed is stuck: half a start."""
     believed: float = math.radians(6.0)  # largest sigma of a usable yaw, radians
-    explained: float = 0.4  # least fraction of the force's changes that the speed explains
+    explained: float = 0.4
+    """Least fraction of the force's changes that the speed explains, in minutes and in seconds."""
     floor: float = math.radians(0.3)  # least sigma, radians: suspension, tyres
     largest_delay: float = 8.0  # largest latency that is tried, seconds; the least is -1/8 of it
     reuse: float = 8.0  # seconds between fits
@@ -120,32 +118,22 @@ class CourseTuning:
     relative_sigma: float = 0.3
     """Relative error of neighbouring fixes, metres; not the absolute accuracy."""
     remembered: int = 200  # ticks kept for chords that end late
-    span: float = 60.0
-    chords: int = 8
-    """Seconds of straight driving that are tested for drift, and the fewest chords in them."""
-    scatter: float = math.radians(10.0)
-    """Largest scatter of course minus gyro yaw, radians; boats exceed it."""
-    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
-    turned: float = math.radians(5.0)
-    """Least turning that shows whether the course follows the heading, radians RMS."""
-    share: float = 0.5
+    together: float = 10.0  # largest time between chords that are compared for drift, seconds
+    share: float = 0.3
     """Least fraction of a hull's turning that the course does not follow; zero on wheels."""
-    cell: float = 10.0  # initial side of a cell, metres; doubled when there are too many cells
-    sectors: int = 8  # sectors of course in a cell
-    most_cells: int = 400  # cells kept
-    reach: float = 30.0  # correlation length of the local disturbance, metres
+    most: int = 400  # newest chords that are kept: a few kilometres
     wave_sigma: float = math.radians(3.0)
     """Prior sigma of the harmonics, radians: residual hard iron and soft iron."""
     noise: float = math.radians(2.2)
     """Noise of compass minus course in addition to streets and fixes, radians: slip, camber, lanes,
     the compass."""
     street: float = math.radians(7.0)
-    street_weight: float = 4.0
+    prior_weight: float = 4.0
     """Prior size of the yaw error by local disturbances, radians, and weight in observations."""
     freedom: float = 5.0  # degrees of freedom of the Student weights
     swing_share: float = 0.5
     """Fraction of a swing in the offset's sigma: its cause may have been present temporarily."""
-    fewest: int = 5  # cells before the first fit
+    fewest: int = 5  # chords before the first fit
 
 
 SPEED, ACCELERATION = SpeedTuning(), VehicleAccelerationTuning()

@@ -25,7 +25,7 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Tick
 from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SpeedSource
-from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
+from magcal_ros.core.driving.speed import Speedometer, SpeedTrack
 from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
@@ -107,7 +107,7 @@ class SpeedCheck(NamedTuple):
 
 
 def _judge(
-    source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
+    source: SpeedSource, table: TickTable, record: SpeedTrack, measures_delay: bool
 ) -> SpeedCheck:
     delay = _delay(table, record) if measures_delay else record.delay
     met = _at_delay(table, record, delay)
@@ -128,12 +128,12 @@ def _judge(
     return SpeedCheck(source, found, fault, delay)
 
 
-def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
+def _at_delay(table: TickTable, record: SpeedTrack, delay: float) -> TickTable:
     """Return ticks with the speeds of a source at a latency."""
     return table._replace(speed=record.along(table.stamp, delay), is_signed=record.is_signed)
 
 
-def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
+def _fault(record: SpeedTrack, fitted: MountingYaw) -> SpeedFault | None:
     if record.outlier_share > MOUNTING.outliers:
         return SpeedFault.JUMPS
     if fitted.force_energy < MOUNTING.energy:
@@ -144,10 +144,10 @@ def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
         return SpeedFault.UNRELATED
     if not fitted.has_scale:
         return SpeedFault.SCALE
-    return SpeedFault.LATE if fitted.delay > ACCELERATION.latest else None
+    return SpeedFault.LATE if fitted.delay > ACCELERATION.oldest else None
 
 
-def _delay(table: TickTable, record: SpeedRecord) -> float:
+def _delay(table: TickTable, record: SpeedTrack) -> float:
     """Return the latency with the largest correlation of force and change of velocity."""
     step = 2.0 * ACCELERATION.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
@@ -291,7 +291,7 @@ class MountingYawEstimator:
     def add(self, tick: Tick, speed: float) -> bool:
         """Add a tick and its speed (m/s, NaN if unknown); return whether a fit is due."""
         # A vehicle at rest provides no information.
-        if abs(speed) > MOUNTING.moving or abs(tick.level_force) > 0.5 * MOUNTING.moving:
+        if abs(speed) > ACCELERATION.speed_at_rest or abs(tick.level_force) > ACCELERATION.quiet:
             self._ticks.append(tick)
         return tick.stamp - self._fitted_at >= MOUNTING.reuse
 
@@ -310,7 +310,7 @@ class MountingYawEstimator:
         self._fits += 1
         ticks, is_thorough = list(self._ticks), self._fits % 8 == 0
         recent = [
-            (source, track.record())
+            (source, track.copy())
             for source, track in self._speedometer.tracks.items()
             if stamp - track.newest <= 2.0 * MOUNTING.reuse
         ]

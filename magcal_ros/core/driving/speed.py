@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import cmath
+import copy
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import ACCELERATION, SPEED, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple, minus
 from magcal_ros.core.knowledge import CLEAR
@@ -37,35 +37,11 @@ def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
     return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
 
-@dataclass(frozen=True, eq=False)
-class SpeedRecord:
-    """A copy of the measurements of one source."""
-
-    kept: FloatArray  # stamps and speeds of some minutes, thinned. Shape (n, 2).
-    outlier_share: float  # fraction of the newest samples with impossible jumps
-    delay: float
-    gap: float
-    """Latency of the stamps, and longest gap that is interpolated, seconds."""
-    is_signed: bool  # whether backwards is negative
-
-    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
-        """Return the speed at stamps (n,) for a latency, NaN if unknown."""
-        if len(self.kept) < 2:
-            return np.full(len(stamps), math.nan)
-        time, speed = self.kept.T
-        moments = stamps + delay
-        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
-        span, change = np.diff(time), np.diff(speed)
-        broken = (span > self.gap) | (np.abs(change) > largest_change(span))
-        found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
-        found[broken[after - 1]] = math.nan
-        return np.asarray(found)
-
-
 class SpeedTrack:
     """The recent measurements of one source.
 
     `delay` is the latency of its stamps, seconds, and `is_signed` is whether backwards is negative.
+    `outlier_share` is the fraction of the newest samples with impossible jumps.
     """
 
     def __init__(self, source: SpeedSource) -> None:
@@ -75,19 +51,18 @@ class SpeedTrack:
         self.is_signed = own
         self._stamps = StampGuard()
         self._doubted: tuple[float, float] | None = None
-        self._outliers: deque[bool] = deque(maxlen=SPEED.newest)
-        self._recent: deque[tuple[float, float]] = deque(maxlen=SPEED.newest)
+        self.outlier_share = 0.0
         self._kept: deque[tuple[float, float]] = deque(maxlen=SPEED.remembered)
 
     @property
     def newest(self) -> float:
         """Stamp of the newest accepted sample, seconds; minus infinity before the first."""
-        return self._recent[-1][0] if self._recent else -math.inf
+        return self._kept[-1][0] if self._kept else -math.inf
 
     @property
     def last(self) -> float:
         """The newest speed, m/s; NaN before the first."""
-        return self._recent[-1][1] if self._recent else math.nan
+        return self._kept[-1][1] if self._kept else math.nan
 
     def wants(self, stamp: float) -> bool:
         """Whether a sample at a stamp is used; of a fast source, some are skipped."""
@@ -100,7 +75,6 @@ class SpeedTrack:
         if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
             return False
         if stamp < self.newest:
-            self._recent.clear()
             self._kept.clear()
         self._accept((stamp, speed))
         return True
@@ -108,21 +82,19 @@ class SpeedTrack:
     def _accept(self, sample: tuple[float, float]) -> None:
         """Accept a sample; after a jump only if the next sample confirms it."""
         doubted, self._doubted = self._doubted, None
-        is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
-        self._outliers.append(is_wild)
+        is_wild = bool(self._kept) and is_jump(self._kept[-1], sample)
+        self.outlier_share += (is_wild - self.outlier_share) / SPEED.counted
         if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample
             return
-        self._recent.append(sample)
-        if not self._kept or sample[0] - self._kept[-1][0] >= 2.0 * SPEED.shortest:
-            self._kept.append(sample)
+        self._kept.append(sample)
 
     @property
     def is_slow(self) -> bool:
         """Whether these are wheels with a message rate as low as a receiver's."""
-        if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
+        if self.source is not SpeedSource.ODOMETRY or len(self._kept) < 4:
             return False
-        return self._recent[-1][0] - self._recent[-4][0] > 3.0 * SPEED.seldom
+        return self._kept[-1][0] - self._kept[-4][0] > 3.0 * SPEED.seldom
 
     @property
     def gap(self) -> float:
@@ -133,7 +105,7 @@ class SpeedTrack:
     def at(self, stamp: float) -> float | None:
         """Return the speed, m/s, at a stamp of the IMU; None unless samples enclose the stamp."""
         stamp += self.delay
-        found = enclosing(self._recent, stamp)
+        found = enclosing(self._kept, stamp)
         if found is None:
             return None
         sample, later = found
@@ -148,11 +120,24 @@ class SpeedTrack:
         """Whether no further sample before a stamp of the IMU can come."""
         return self.newest >= stamp + self.delay
 
-    def record(self) -> SpeedRecord:
+    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
+        """Return the speed at stamps (n,) of the IMU for another latency, NaN if unknown."""
+        if len(self._kept) < 2:
+            return np.full(len(stamps), math.nan)
+        time, speed = np.array(self._kept).T
+        moments = stamps + delay
+        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
+        span, change = np.diff(time), np.diff(speed)
+        broken = (span > self.gap) | (np.abs(change) > largest_change(span))
+        found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
+        found[broken[after - 1]] = math.nan
+        return np.asarray(found)
+
+    def copy(self) -> SpeedTrack:
         """Return a copy of the measurements, for another thread."""
-        kept = np.array(self._kept).reshape(-1, 2)
-        outliers = sum(self._outliers) / SPEED.newest
-        return SpeedRecord(kept, outliers, self.delay, self.gap, self.is_signed)
+        other = copy.copy(self)
+        other._kept = self._kept.copy()
+        return other
 
 
 class Speedometer:
@@ -355,7 +340,8 @@ class VehicleAcceleration:
         """Test whether the speed explains the force of the last seconds."""
         force, change, along = np.array(self._seen).T
         without, quiet = float(np.var(force)), ACCELERATION.quiet**2
-        limit = ACCELERATION.gain * without if without > quiet else quiet
+        left = 1.0 - MOUNTING.explained
+        limit = left * without if without > quiet else quiet
         is_explained = float(np.var(force - self._turn * change)) <= limit
         # In a steady circle the gyro is enough: the speed from fixes would only add noise.
         changes, starts = (float(np.sum(np.abs(each) ** 2)) for each in (change, along))

@@ -8,12 +8,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-import numpy as np
-
 from magcal_ros.core.driving.chords import (
     Chord,
     Chords,
-    CourseCells,
     CourseOffset,
     GyroFrame,
     Tick,
@@ -22,7 +19,10 @@ from magcal_ros.core.driving.chords import (
 from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator, SpeedCheck
 from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
+from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.slope import Slope
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
@@ -35,54 +35,38 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import ZERO
 
 
-class HullDriftDetector:
-    """Compares course and gyro over a minute of straight driving."""
+class HullDrift:
+    """Compares turns by course with turns by gyro, from chord to chord.
+
+    `share` is the fraction of its turns that the course does not show: none on wheels, all of a
+    drifting hull's.
+    """
 
     def __init__(self) -> None:
-        self._seen: deque[Chord] = deque(maxlen=120)
-        self.judged = self.drifted = 0
+        self.share = Slope(math.inf)
+        self._last: Chord | None = None
+        # So few chords as agree by chance are no evidence.
+        weight = COURSE.prior_weight
+        self.share.add(0.0, 0.0, weight * COURSE.largest_turn**2, count=weight)
 
-    def add(self, chord: Chord) -> bool:
-        """Add a chord; return whether course and heading agree, as far as is known."""
-        seen = self._seen
-        seen.append(chord)
-        while chord.stamp - seen[0].stamp > COURSE.span:
-            seen.popleft()
-        if len(seen) >= COURSE.chords:
-            self.judged += 1
-            self.drifted += self._drifts()
-        return not self.is_drifting
-
-    def _drifts(self) -> bool:
-        """Whether the newest chords are from a hull, whose course is not its heading."""
-        time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
-        # The gyro's yaw minus that of the compass, and the gyro's yaw, unwrapped.
-        leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)
-        gaps, since = np.unwrap(gaps), time - time.mean()
-        slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
-        # Gyro and compass differ by the gyro's bias, but not by the turning of a hull.
-        least, most = min(lead, 0.0) - COURSE.bias, max(lead, 0.0) + COURSE.bias
-        bias = since * min(max(slope, least), most)
-        left, turned = gaps - bias, headings - bias
-        left -= np.median(left)
-        turned -= turned.mean()
-        # The variance by the receiver's noise is not drift.
-        square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
-        if square > COURSE.scatter**2:
-            return True
-        # The receiver's noise is not correlated with turns; a course that does not follow them is.
-        by_turns = float(turned @ turned)
-        has_turned = by_turns >= len(turned) * COURSE.turned**2
-        return has_turned and float(turned @ left) > COURSE.share * by_turns
+    def add(self, chord: Chord) -> None:
+        """Add a chord."""
+        last, self._last = self._last, chord
+        if last is None or chord.stamp - last.stamp > COURSE.together:
+            return
+        turned = wrapped(chord.gyro_gap + chord.course - last.gyro_gap - last.course)
+        # A sign that is wrong for a while does not change the axis.
+        missed = math.remainder(chord.gyro_gap - last.gyro_gap, math.pi)
+        self.share.add(turned * missed, turned**2, missed**2)
 
     @property
     def is_drifting(self) -> bool:
-        """Whether course and heading differ for a large part of the path."""
-        return self.drifted > 3 and self.drifted > 0.2 * self.judged
+        """Whether course and heading differ."""
+        return self.share.bounds(CLEAR)[0] > COURSE.share
 
     def restart(self) -> None:
-        """Forget the newest chords: the zero of the gyro's yaw has changed."""
-        self._seen.clear()
+        """Forget the last chord: the zero of the gyro's yaw has changed."""
+        self._last = None
 
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
@@ -105,13 +89,13 @@ class TravelEstimator:
         self._run, self._is_running = run, False
         self.speedometer = Speedometer()
         self.mounting = MountingYawEstimator(self.speedometer)
-        self.cells = CourseCells()
-        self.drift = HullDriftDetector()
+        self.chords: deque[Chord] = deque(maxlen=COURSE.most)
+        self.drift = HullDrift()
         self.course: CourseOffset | None = None
         self.metres = 0.0
         self.acceleration = VehicleAcceleration()
         self._frame = GyroFrame()
-        self._chords = Chords()
+        self._paths = Chords()
         self._pending: deque[Chord] = deque(maxlen=256)
         self.is_heard = False
         self._given: tuple[float, float] | None = None
@@ -165,7 +149,7 @@ class TravelEstimator:
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
             self._restarts = self._frame.restarts
-            for each in (self.acceleration, self._chords, self.mounting, self.drift):
+            for each in (self.acceleration, self._paths, self.mounting, self.drift):
                 each.restart()
         if tick is not None:
             self._on_tick(tick)
@@ -180,16 +164,16 @@ class TravelEstimator:
         is_usable = self.speedometer.add(sample)
         self.is_heard = is_usable or self.is_heard
         if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
-            self._chords.add_fix(sample)
+            self._paths.add_fix(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Add the yaw of the IMU's x to magnetic north by the compass, radians."""
         if self.is_heard:
-            self._chords.add_yaw(yaw)
+            self._paths.add_yaw(yaw)
 
     def forget_compass(self) -> None:
         """Forget the comparison of compass and course: another calibration is in use."""
-        self.cells = CourseCells()
+        self.chords.clear()
         self.course = None
         self._pending.clear()
 
@@ -202,8 +186,8 @@ class TravelEstimator:
         """Return a function that fits the course, in up to a tenth of a second."""
         if self.drift.is_drifting:
             return lambda: None
-        table = self.cells.table()
-        return lambda: fit_course_offset(table)
+        chords = list(self.chords)
+        return lambda: fit_course_offset(chords)
 
     def give_up_fit(self) -> None:
         """Forget a failed fit, so that the next one may start."""
@@ -220,8 +204,8 @@ class TravelEstimator:
             self._fit(tick.stamp)
         for receiver in (SpeedSource.FIXES, SpeedSource.VELOCITY):
             if math.isfinite(self.speedometer.tracks[receiver].newest):
-                self._chords.delay = self.speedometer.tracks[receiver].delay
-        self._pending.extend(self._chords.add_tick(tick))
+                self._paths.delay = self.speedometer.tracks[receiver].delay
+        self._pending.extend(self._paths.add_tick(tick))
         self._settle()
 
     def _fit(self, stamp: float) -> None:
@@ -260,7 +244,7 @@ class TravelEstimator:
         track = self.speedometer.track
         while self._pending:
             chord = self._pending[0]
-            moment = chord.stamp - self._chords.delay
+            moment = chord.stamp - self._paths.delay
             sign, is_clear, is_open = self.acceleration.trip_at(moment)
             if track is not None and track.is_signed:
                 speed = track.at(moment + track.delay)
@@ -271,8 +255,8 @@ class TravelEstimator:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
-            if self.drift.add(chord):
-                self.cells.add(chord)
+            self.drift.add(chord)
+            self.chords.append(chord)
 
 
 class TravelReplay:

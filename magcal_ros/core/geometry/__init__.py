@@ -13,5 +13,6 @@ __getattr__, __dir__, __all__ = lazy_names(
         minimal_rotation roll_pitch_between rotation_about rotation_angle rotation_from_quaternion
         rotation_from_rpy rotation_vectors_near rpy_from_rotation signed_permutations skew
     shapes: QuadricFit ellipse_ratio fit_circle fit_circle_in_space fit_plane fit_quadric
+    slope: Slope
     """,
 )

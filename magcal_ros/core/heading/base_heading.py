@@ -24,7 +24,6 @@ from magcal_ros.core.knowledge import CLEAR
 class VehicleYawTuning:
     """When a sensor counts as misaligned, and a yaw found by driving is used."""
 
-    near: float = 2.0  # sigmas within which a difference counts as twice the declination
     smallest: float = math.radians(3.0)  # radians; smaller differences are not reported
     useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
     lost: float = math.radians(10.0)  # radians of sigma beyond which a course is not used
@@ -122,10 +121,7 @@ def _suspicion(gap: float, sigma: float, declination: float) -> str:
     """Return in words why compass and course differ although the IMU's yaw is subtracted."""
     size = f"{math.degrees(gap):+.1f}° ± {math.degrees(sigma):.1f}°"
     is_large = abs(declination) > VEHICLE_YAW.smallest
-    if (
-        is_large
-        and abs(math.remainder(gap + 2.0 * declination, math.tau)) < VEHICLE_YAW.near * sigma
-    ):
+    if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < CLEAR * sigma:
         return (
             f"compass and course differ by {size}, twice the declination in use: its sign is "
             f"wrong, give reference.declination_deg: {-math.degrees(declination):.1f} "

@@ -10,19 +10,15 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
+from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG
 
 
 @dataclass(frozen=True)
 class DisturbanceTuning:
     """How a disturbed field is detected, and how far it may turn the yaw."""
 
-    strength: float = 0.02
-    dip: float = math.radians(1.0)
-    """Sigmas of a good field from place to place: relative strength, and inclination in radians."""
+    strength: float = 0.02  # relative sigma of a good field's strength from place to place
     noise_share: float = 2.0  # sigmas of the calibration's field noise that are added to both
-    gate: float = 3.0
-    """Sigmas from which a field is ignored, and from which a sample has less weight. Also the
-    largest deviation that is learnt, in amplitudes: passing iron is not a property of places."""
     believed_below: float = 2.0  # sigmas below which an ignored field is used again
     memory: float = 0.3  # seconds over which strength and dip are averaged
     amplitude: float = 0.01
@@ -33,6 +29,7 @@ class DisturbanceTuning:
 
 
 DISTURBANCE = DisturbanceTuning()
+DIP_SIGMA = math.radians(INCLINATION_SIGMA_DEG)
 
 
 PATIENCE = 60.0
@@ -125,7 +122,8 @@ class DisturbanceDetector:
         """
         old = self.amplitude_variance
         strength, dip = self._deviation(self._calibrated)
-        most = DISTURBANCE.gate**2 * old
+        # Passing iron is not a property of places.
+        most = CLEAR**2 * old
         square = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
         square = (square + min(across, most)) / 3.0
         share = min(1.0, seconds / DISTURBANCE.amplitude_memory)
@@ -141,7 +139,7 @@ class DisturbanceDetector:
     def _judge(self) -> Trust:
         # Hysteresis, so that a field at the limit is not used intermittently.
         was_ignored = self.trust is Trust.IGNORED
-        edge = DISTURBANCE.believed_below if was_ignored else DISTURBANCE.gate
+        edge = DISTURBANCE.believed_below if was_ignored else CLEAR
         if self.deviation >= edge:
             return Trust.IGNORED
         return Trust.GOOD if self.deviation <= 1.0 else Trust.WEIGHED_DOWN
@@ -151,7 +149,7 @@ class DisturbanceDetector:
         strength, dip = self._deviation(expected)
         common = self._noise + self.amplitude_variance
         of_strength = DISTURBANCE.strength**2 + common
-        of_dip = DISTURBANCE.dip**2 + common + tilt_variance
+        of_dip = DIP_SIGMA**2 + common + tilt_variance
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
     def _deviation(self, expected: tuple[float, float]) -> tuple[float, float]:
@@ -200,10 +198,10 @@ class FieldDeviation:
     def __init__(self, calibration: Calibration) -> None:
         strength, dip = calibration.strength, calibration.inclination
         self._level, self._rise = strength * math.cos(dip), -strength * math.sin(dip)
-        places = DISTURBANCE.strength**2 + DISTURBANCE.dip**2 + 2.0 * DISTURBANCE.amplitude**2
+        places = DISTURBANCE.strength**2 + DIP_SIGMA**2 + 2.0 * DISTURBANCE.amplitude**2
         own = _own_variance(calibration)
         self._usual = strength**2 * places + 2.0 * own
-        places = DISTURBANCE.dip**2 + DISTURBANCE.amplitude**2
+        places = DIP_SIGMA**2 + DISTURBANCE.amplitude**2
         self._usual_across = strength**2 * places + own
         self._mean_excess = self._seconds = 0.0
         self._stamp = math.nan

@@ -28,10 +28,12 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
 from magcal_ros.core.heading.field_jump import FieldJump, LevelField
-from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter
+from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter, errors_of
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import STREAMS, enclosing
+from magcal_ros.core.up.filter import GYRO
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
 
@@ -125,7 +127,8 @@ class FusedYaw:
             return
         self._north = level
         self._path.append(_YawRecord(stamp, level, self._shift))
-        walk, drift = FUSION.walk_variance(length(rate)) * seconds, self._gyro_drift
+        walk = GYRO.walk_variance(length(rate) * seconds, seconds)
+        drift = self._gyro_drift
         self._filter.propagate(seconds, drift.share * walk, drift.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         self._walk_variance += walk
@@ -182,7 +185,7 @@ class FusedYaw:
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
         yaw_gap = yaw_between(then.north, measured, up.direction)
-        compass = _errors_of(heading)
+        compass = errors_of(heading.lasting)
         error = float(self._filter.errors @ compass)
         innovation = wrapped(yaw_gap - (self._shift - then.shift) - error)
         self._seconds_unlearned += since
@@ -197,13 +200,13 @@ class FusedYaw:
             level_field = self._level_field(stamp, field, up, then)
             self.field_jump.add(level_field, since / FUSION.moving_tau)
         if is_new:
-            self._filter.yaw_variance += innovation**2
+            self._filter.add_variance(innovation**2)
         elif detector.trust is Trust.IGNORED:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
-                self._filter.yaw_variance += max(0.0, missing)
+                self._filter.add_variance(max(0.0, missing))
             return
         if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
             self._jump_shift = then.shift
@@ -312,7 +315,7 @@ class FusedYaw:
         variance = heading.yaw_variance - heading.lasting_variance
         bias = self._known.variance + FUSION.bias_sigma**2
         bent = self._disturbance_variance
-        self._filter.begin(variance, min(bias, 1.0), bent, _errors_of(heading))
+        self._filter.begin(variance, min(bias, 1.0), bent, errors_of(heading.lasting))
         self._gyro_drift.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._start_stamp = self._stamp
         self._path.append(_YawRecord(self._stamp, level, self._shift))
@@ -350,7 +353,7 @@ class FusedYaw:
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         spread = following.spread(by_tilt + by_noise, compass)
-        contradiction = (innovation / DISTURBANCE.gate) ** 2 / spread
+        contradiction = (innovation / CLEAR) ** 2 / spread
         is_good = self.detector.trust is Trust.GOOD
         clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._contradicted_seconds = (
@@ -358,7 +361,7 @@ class FusedYaw:
         )
         is_overruled = self._contradicted_seconds > FUSION.contradicted_after
         if is_overruled:
-            following.yaw_variance += innovation**2
+            following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0
         excess = max(1.0, self.detector.deviation**4)
         noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
@@ -393,8 +396,3 @@ class FusedYaw:
         else:
             north = interpolate(record.north, after.north, since / (after.stamp - record.stamp))
         return record._replace(north=north)
-
-
-def _errors_of(heading: Heading) -> FloatArray:
-    """Return the errors of a compass as `YawFilter` takes them."""
-    return np.array((*heading.lasting, 1.0))

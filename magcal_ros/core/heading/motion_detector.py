@@ -13,7 +13,7 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 class MotionDetectorTuning:
     """When a robot moves, and how well the inputs determine the motors' field."""
 
-    rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
+    rate: float = 0.03  # rad/s from which it turns
     speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
     turning: float = 0.1  # rad/s from which it certainly turns to one side
     slow: float = 0.05  # m/s below which it is about to stop; the same for twice `rate`

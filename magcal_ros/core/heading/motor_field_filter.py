@@ -19,6 +19,9 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motion_detector import MOTION
+from magcal_ros.core.knowledge import STREET_LENGTH
+from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.up.filter import GYRO
 
 MICROTESLA = 1e6
 PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
@@ -31,15 +34,11 @@ class PlaceFieldTuning:
     """How the field of a place changes in the axes of a robot."""
 
     field: float = 100.0  # prior sigma of the field before the first sample, µT
-    longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
     street: float = 1.0
     street_spread: float = 1.0
     """Size of the local disturbance, µT per axis: median, and standard deviation of the natural
     logarithm (as of the unknown "street")."""
-    street_length: float = 30.0  # correlation length of the local disturbance, metres
     passing: float = 0.03  # random walk of the field at rest, µT per root second
-    walk: float = 0.001  # random walk of the gyro, rad per root second, as for the fused yaw
-    turn_error: float = 0.005  # relative error of the gyro in a turn, per root radian, likewise
     latency: float = 0.01  # seconds between gyro and field
     beside: float = 0.15  # distance of the magnetometer from the pivot, metres
     unknown_speed: float = 0.3  # m/s of a moving robot without a known speed
@@ -58,9 +57,8 @@ class PlaceFieldTuning:
         body axes, `turned` (3,) the rotation of the robot, radians, `faster` (3,) the change of the
         turn rate, rad/s, and `path` the path of the magnetometer, metres, zero at rest.
         """
-        lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
+        lost = GYRO.walk_variance(math.sqrt(float(turned @ turned)), seconds * (path > 0.0))
         lost += self.latency**2 * float(faster @ faster)
-        lost += self.walk**2 * seconds if path > 0.0 else 0.0
         passing = self.passing**2 * seconds
         return np.asarray(
             (lost * float(place @ place) + passing) * EYE - lost * place[:, None] * place
@@ -68,7 +66,7 @@ class PlaceFieldTuning:
 
     def path_variance(self, path: float) -> float:
         """Return the process noise by a path in metres, for a local disturbance of 1 µT, µT²."""
-        return 2.0 * path / self.street_length
+        return 2.0 * path / STREET_LENGTH
 
 
 PLACE_FIELD = PlaceFieldTuning()
@@ -290,7 +288,7 @@ class MotorFieldFilter:
         now = np.array(rate)
         changed, self._values = values - self._values, values
         faster, self._rate, self._before = now - self._rate, now, motor_state
-        if not 0.0 < seconds < PLACE_FIELD.longest:
+        if not 0.0 < seconds < STREAMS.longest_field_gap:
             self._forget(PLACE, level)
             self._forget(RESIDUAL, level)
             self._change = np.zeros(len(values))

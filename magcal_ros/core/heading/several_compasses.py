@@ -17,6 +17,7 @@ from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, prop
 from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
 
@@ -184,8 +185,7 @@ class SeveralCompasses:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
         self._disagreement = Disagreement()
-        # Radians between compasses that disagree while none is known to be wrong.
-        self.disagreement = 0.0
+        self.disagreement = 0.0  # radians between compasses, while none is known to be wrong
         self._members = {
             number: _CompassState(each.compass, each.deviation, weight=each.weight)
             for number, each in self._members.items()
@@ -272,7 +272,7 @@ class SeveralCompasses:
         member = self._members[number]
         change = wrapped(yaw - member.relative_yaw)
         # A step that is larger than noise is not averaged.
-        is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
+        is_noise = abs(change) <= CLEAR * math.sqrt(member.heading.noise_variance)
         member.relative_yaw = wrapped(member.relative_yaw + share * change) if is_noise else yaw
         return member.relative_yaw
 
@@ -379,7 +379,7 @@ def without_outliers(yaws: list[CompassYaw]) -> list[CompassYaw]:
     A yaw is an outlier if the others agree far better without it, and far better than without any
     other yaw.
     """
-    kept, gate = yaws, DISTURBANCE.gate**2
+    kept, gate = yaws, CLEAR**2
     while len(kept) > 1 and misfit(kept) > gate:
         rests = [kept[:k] + kept[k + 1 :] for k in range(len(kept))]
         best, second = sorted(rests, key=misfit)[:2]

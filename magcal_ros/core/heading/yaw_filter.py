@@ -1,7 +1,7 @@
 """A Kalman filter of yaw, gyro bias and local disturbance, and the gyro's random walk.
 
 The disturbance changes with the place within seconds of driving, while an error of the propagated
-yaw is constant: this separates the two. Plain floats: this is on the path of every message.
+yaw is constant: this separates the two.
 """
 
 from __future__ import annotations
@@ -13,25 +13,18 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.heading.compass import CERTAIN
+from magcal_ros.core.up.filter import GYRO
 
 
 @dataclass(frozen=True)
 class FusionTuning:
     """The Kalman filter on yaw, gyro bias and the field's disturbance."""
 
-    angle_walk: float = 1e-3  # random walk of the gyro's angle, radians per root second
-    turn_error: float = 0.005  # relative error of a turn by the gyro's scale, per root radian
     bias_sigma: float = 0.001  # least sigma of the remaining bias about up, rad/s
-    bias_walk: float = 1.8e-5
-    walk_spread: float = 1.0
-    """Random walk of the gyro's bias, rad/s per root second: median, and standard deviation of the
-    natural logarithm. Cheap gyros drift by .001 to .01 °/s in a minute."""
     rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
     rest_spread: float = 1.5  # sigma of the natural logarithm: wheels stand, boats swing
     rest_time: float = 10.0  # correlation time of this turn rate, seconds
-    angle_walk_spread: float = (
-        1.5  # sigma of the logarithm of a gyro's random walk over `angle_walk`²
-    )
+    angle_walk_spread: float = 1.5  # sigma of the logarithm of a gyro's random walk over the usual
     tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
     noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
     small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
@@ -61,31 +54,32 @@ class FusionTuning:
     unknown: float = 0.5  # sigma of the yaw after a start in a disturbed field, radians
     start: float = 5.0  # seconds from the start in which a disturbance may still be detected
 
-    def walk_variance(self, rate: float) -> float:
-        """Return the growth of the variance of the gyro's angle, without bias, rad²/s.
-
-        `rate` is the turn rate, rad/s.
-        """
-        return self.angle_walk**2 + self.turn_error**2 * abs(rate)
-
 
 FUSION = FusionTuning()
-BIAS_WALK = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
-"""Root mean square of the random walk of a gyro's bias, rad/s per root second."""
 UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of an unknown yaw, rad²."""
 
 
-PERFECT: FloatArray = np.array((*CERTAIN, 1.0))  # a compass without errors, for `YawFilter`
+def errors_of(lasting: tuple[float, ...]) -> FloatArray:
+    """Return the errors of a compass as `YawFilter` takes them, from `Heading.lasting`."""
+    return np.array((*lasting, 1.0))
+
+
+PERFECT = errors_of(CERTAIN)  # a compass without errors
+
+
+YAW, BIAS, DISTURBANCE = range(3)
+BY_COMPASS, BY_YAW, BY_REST = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""The sums of these states that a compass, another device, and a gyro at rest measure."""
 
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
-    `bias` is in rad/s about up, with `bias_variance`, and `disturbance` is the yaw error of the
-    compass by the local disturbance. `yaw_variance` (rad²) is without the calibration's errors,
-    which are considered separately (Schmidt-Kalman). `errors` are estimates of these, as far as the
-    gyro at other headings or another device shows them.
+    `bias` is in rad/s about up, and `disturbance` is the yaw error of the compass by the local
+    disturbance. Their covariance is without the calibration's errors, which are considered
+    separately (Schmidt-Kalman). `errors` are estimates of these, as far as the gyro at other
+    headings or another device shows them.
 
     The errors of a compass are given as yaw errors (radians) by each error of unit variance,
     followed by one, the fraction of the yaw that comes from the compass.
@@ -107,36 +101,52 @@ class YawFilter:
         and of the disturbance, rad².
         """
         self.bias = self.disturbance = 0.0
-        self.yaw_variance = yaw_variance + disturbance
-        self.bias_variance, self._disturbance = bias_variance, disturbance
+        own = np.diag([yaw_variance + disturbance, bias_variance, disturbance])
         # The error of the yaw is that of the disturbance.
-        self._yaw_disturbance = -disturbance
-        self._yaw_bias = self._bias_disturbance = 0.0
+        own[YAW, DISTURBANCE] = own[DISTURBANCE, YAW] = -disturbance
+        self._own: FloatArray = own
         self._forget_errors(compass)
 
-    def _forget_errors(self, shares: FloatArray) -> None:
-        self._shares = shares
-        self._bias_shares = self._disturbance_shares = self.errors = 0.0 * shares
+    def _forget_errors(self, compass: FloatArray) -> None:
+        self.errors = 0.0 * compass
+        # Derivatives of the states by the errors, and the covariance of the errors.
+        self._by_errors = np.zeros((len(self._own), len(compass)))
+        self._by_errors[YAW] = -compass
         self._covariance = np.diag(np.append(np.ones(len(CERTAIN)), 0.0))
 
     def use_another_calibration(self) -> None:
         """Continue with a compass that has other errors; the old ones remain in the variance."""
-        self.yaw_variance += self.own_error_variance
-        self._forget_errors(0.0 * self._shares)
+        self.add_variance(self.own_error_variance)
+        self._forget_errors(0.0 * self.errors)
+
+    @property
+    def yaw_variance(self) -> float:
+        """Variance of the yaw without the calibration's errors, rad²."""
+        return float(self._own[YAW, YAW])
+
+    @property
+    def bias_variance(self) -> float:
+        """Variance of the bias, (rad/s)²."""
+        return float(self._own[BIAS, BIAS])
 
     @property
     def own_error_variance(self) -> float:
         """Variance of the yaw by the calibration, rad²."""
-        return float(self._shares @ self._covariance @ self._shares)
+        by_yaw = self._by_errors[YAW]
+        return float(by_yaw @ self._covariance @ by_yaw)
+
+    def add_variance(self, variance: float) -> None:
+        """Increase the variance of the yaw, rad²."""
+        self._own[YAW, YAW] += variance
 
     def propagate(self, seconds: float, walk_variance: float, bias_lost: float) -> None:
         """Propagate with process noises of the angle, rad², and of the bias, (rad/s)²."""
-        bias_part = self.bias_variance * seconds
-        self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + walk_variance
-        self._yaw_bias -= bias_part
-        self._yaw_disturbance -= seconds * self._bias_disturbance
-        self._shares = self._shares + self._bias_shares * seconds
-        self.bias_variance += bias_lost
+        own = self._own
+        own[YAW] -= seconds * own[BIAS]
+        own[:, YAW] -= seconds * own[:, BIAS]
+        own[YAW, YAW] += walk_variance
+        own[BIAS, BIAS] += bias_lost
+        self._by_errors[YAW] -= seconds * self._by_errors[BIAS]
 
     def change_disturbance(self, share: float, variance: float) -> None:
         """Propagate the disturbance as a Gauss-Markov process.
@@ -144,34 +154,26 @@ class YawFilter:
         `share` is its correlation, 0 to 1, and `variance` its stationary variance, rad².
         """
         self.disturbance *= share
-        self._yaw_disturbance *= share
-        self._bias_disturbance *= share
-        self._disturbance_shares = self._disturbance_shares * share
-        self._disturbance = share * share * self._disturbance + (1.0 - share * share) * variance
+        self._own[DISTURBANCE] *= share
+        self._own[:, DISTURBANCE] *= share
+        self._own[DISTURBANCE, DISTURBANCE] += (1.0 - share * share) * variance
+        self._by_errors[DISTURBANCE] *= share
 
     def widen(self, ratio: float) -> None:
         """Multiply the variance of the disturbance by a ratio."""
         root = math.sqrt(ratio)
         # As far as the yaw comes from the compass, its error grows likewise.
-        yaw = 1.0 + float(self._shares[-1]) * (root - 1.0)
-        self.yaw_variance *= yaw * yaw
-        self._yaw_disturbance *= yaw * root
-        self._disturbance *= ratio
-        self._yaw_bias *= yaw
-        self._bias_disturbance *= root
+        scale = np.array([1.0 - float(self._by_errors[YAW, -1]) * (root - 1.0), 1.0, root])
+        self._own *= np.outer(scale, scale)
 
     def spread(self, noise: float, compass: FloatArray) -> float:
         """Return the variance of compass minus yaw, rad²; parameters as for `observe`."""
-        apart = self._apart(compass)
+        apart = compass + BY_COMPASS @ self._by_errors
         return self.known_spread(noise) + float(apart @ self._covariance @ apart)
-
-    def _apart(self, compass: FloatArray) -> FloatArray:
-        """Return the derivative of compass minus propagated yaw by the calibration's errors."""
-        return compass - self._shares + self._disturbance_shares
 
     def known_spread(self, noise: float) -> float:
         """Return the same without the calibration's errors."""
-        return self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance + noise
+        return float(BY_COMPASS @ self._own @ BY_COMPASS) + noise
 
     def observe(self, innovation: float, noise: float, compass: FloatArray) -> float:
         """Update with compass minus propagated yaw; return the correction of the yaw, radians.
@@ -179,62 +181,50 @@ class YawFilter:
         `innovation` is in radians, without the estimated errors of the calibration, `noise` its
         further variance, rad², and `compass` the errors of the compass.
         """
-        by_yaw = self.yaw_variance + self._yaw_disturbance
-        by_bias = self._yaw_bias + self._bias_disturbance
-        by_disturbance = self._yaw_disturbance + self._disturbance
-        left, by = innovation - self.disturbance, (by_yaw, by_bias, by_disturbance)
-        return self._correct(left, self.known_spread(noise), by, self._apart(compass))
+        return self._correct(BY_COMPASS, innovation - self.disturbance, noise, compass)
 
     def observe_yaw(self, innovation: float, noise: float) -> float:
         """Update with another device's yaw minus the propagated one; otherwise as `observe`."""
-        gains = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
-        return self._correct(innovation, self.yaw_variance + noise, gains, -self._shares)
+        return self._correct(BY_YAW, innovation, noise)
 
     def observe_bias(self, left: float, noise: float) -> float:
         """Update with the rate about up at rest minus the bias; otherwise as `observe`."""
-        gains = self._yaw_bias, self.bias_variance, self._bias_disturbance
-        return self._correct(left, self.bias_variance + noise, gains, self._bias_shares)
+        return self._correct(BY_REST, left, noise)
 
     def _correct(
-        self, left: float, spread: float, by: tuple[float, float, float], apart: FloatArray
+        self, seen: FloatArray, left: float, noise: float, compass: FloatArray | float = 0.0
     ) -> float:
-        """Update with an innovation, then estimate the errors with the derivatives `apart`."""
-        by_yaw, by_bias, by_disturbance = by[0] / spread, by[1] / spread, by[2] / spread
-        self.bias += by_bias * left
-        self.disturbance += by_disturbance * left
-        self.yaw_variance -= by[0] * by_yaw
-        self.bias_variance -= by[1] * by_bias
-        self._disturbance -= by[2] * by_disturbance
-        self._yaw_bias -= by[0] * by_bias
-        self._yaw_disturbance -= by[0] * by_disturbance
-        self._bias_disturbance -= by[1] * by_disturbance
-        self._shares = self._shares + by_yaw * apart
-        self._bias_shares = self._bias_shares - by_bias * apart
-        self._disturbance_shares = self._disturbance_shares - by_disturbance * apart
+        """Update with the innovation of a sum of the states, then estimate the errors."""
+        apart, by = compass + seen @ self._by_errors, self._own @ seen
+        spread = float(seen @ by) + noise
+        gain = by / spread
+        self._own -= np.outer(gain, by)
+        self._by_errors -= np.outer(gain, apart)
         shown = self._covariance @ apart
         whole = spread + float(apart @ shown)
-        gain = shown / whole
+        of_errors = shown / whole
         # The disagreement of compasses changes: its error is considered, but not estimated.
-        gain[-2] = 0.0
-        both = np.outer(gain, shown - 0.5 * whole * gain)
+        of_errors[-2] = 0.0
+        both = np.outer(of_errors, shown - 0.5 * whole * of_errors)
         self._covariance = self._covariance - both - both.T
-        found = gain * left
+        found = of_errors * left
         self.errors = self.errors + found
-        self.bias += float(self._bias_shares @ found)
-        self.disturbance += float(self._disturbance_shares @ found)
-        return by_yaw * left - float(self._shares @ found)
+        turned, bias, disturbance = (gain * left + self._by_errors @ found).tolist()
+        self.bias += bias
+        self.disturbance += disturbance
+        return float(turned)
 
     def use_larger_covariance(self, covariance: FloatArray) -> None:
         """Use a larger covariance (2, 2) of the yaw and minus the bias."""
-        self.yaw_variance, self.bias_variance = float(covariance[0, 0]), float(covariance[1, 1])
-        self._yaw_bias = -float(covariance[0, 1])
+        self._own[:2, :2] = covariance * np.array([[1.0, -1.0], [-1.0, 1.0]])
 
     def follow(self, share: float, variance: float, compass: FloatArray) -> None:
         """Replace a fraction of the yaw by a compass with a smaller variance, rad²."""
-        self.yaw_variance += share * (variance - self.yaw_variance)
-        self._yaw_disturbance -= share * (self._disturbance + self._yaw_disturbance)
-        self._yaw_bias *= 1.0 - share
-        self._shares = self._shares + share * self._apart(compass)
+        own, yaw_variance = self._own, self.yaw_variance
+        own[YAW] -= share * (BY_COMPASS @ own)
+        own[:, YAW] = own[YAW]
+        own[YAW, YAW] = yaw_variance + share * (variance - yaw_variance)
+        self._by_errors[YAW] -= share * (compass + BY_COMPASS @ self._by_errors)
 
 
 DRIFT_KINDS = 3
@@ -267,14 +257,16 @@ class GyroDrift:
                 np.arange(DRIFT_KINDS, dtype=float),
             )
         )
-        self._walks: FloatArray = (FUSION.bias_walk * np.exp(FUSION.walk_spread * first)) ** 2
+        self._walks: FloatArray = (GYRO.bias_walk * np.exp(GYRO.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
         self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
         self._lasts: FloatArray = FUSION.heading_error_time * np.exp(
             FUSION.error_time_spread * fourth
         )
         kind = kinds.astype(int)
-        self._drift_walks: FloatArray = np.array([0.0, FUSION.heading_drift, BIAS_WALK])[kind] ** 2
+        self._drift_walks: FloatArray = (
+            np.array([0.0, FUSION.heading_drift, GYRO.usual_bias_walk])[kind] ** 2
+        )
         self._drift_rates: FloatArray = np.array([0.0, 0.0, FUSION.integrated_rate])[kind] ** 2
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))

@@ -19,6 +19,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motor_field_filter import PLACE_FIELD
+from magcal_ros.core.samples.streams import STREAMS
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -105,7 +106,7 @@ class MotorLearning:
         axes without the gyro's bias, and `motor_state` are the inputs of the motors' field.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
-        if not 0.0 < seconds < PLACE_FIELD.longest:
+        if not 0.0 < seconds < STREAMS.longest_field_gap:
             self._forget_place()
             self._block = self._before = None
             return False

@@ -14,9 +14,10 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.yaw_filter import BIAS_WALK, FUSION, UNKNOWN_YAW
+from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
+from magcal_ros.core.up.filter import GYRO
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ class GyroTurn(NamedTuple):
             stamp,
             self.seconds + seconds,
             self.angle + turn * seconds,
-            self.variance + FUSION.walk_variance(turn) * seconds,
+            self.variance + GYRO.walk_variance(turn * seconds, seconds),
             self.by_bias + more * seconds,
         )
 
@@ -145,7 +146,7 @@ class GyroTurn(NamedTuple):
         """
         if math.isnan(self.stamp) or self.variance >= UNKNOWN_YAW:
             return math.inf
-        walked = BIAS_WALK**2 * self.seconds**3 / 3.0
+        walked = GYRO.usual_bias_walk**2 * self.seconds**3 / 3.0
         return math.sqrt(self.variance + self.by_bias**2 + walked)
 
 

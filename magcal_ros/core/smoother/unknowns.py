@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import STREET_LENGTH
 
 MICROTESLA = 1e6  # microtesla in a tesla
 WAVES = 6  # sine waves that represent the random walk of the gyro's bias over a window
@@ -326,7 +327,7 @@ that says so; a steady circle does not show it."""
 class Lengths:
     """Correlation lengths and times."""
 
-    street: float = 30.0  # correlation length of the local disturbance, metres (1/e)
+    street: float = STREET_LENGTH  # correlation length of the local disturbance, metres (1/e)
     body_field: float = 4.0  # correlation time of the body's coloured noise, seconds
     acceleration: float = 3.0  # correlation time of the change of velocity, seconds
     beside: float = 0.15

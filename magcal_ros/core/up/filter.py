@@ -30,10 +30,7 @@ class FilterTuning:
     """Prior of the gyro's bias, rad/s per axis. Cheap gyros reach 0.09 (5°/s), which is learnt at
     the first rest."""
     seen_at_rest: float = 0.002  # sigma of the bias about up that needs a rest, rad/s
-    bias_walk: float = 1e-4  # rad/s per root second
     largest_bias: float = 0.16  # rad/s, length of any estimate: 5°/s on each axis, and a little
-    angle_walk: float = 3e-4  # radians per root second, random walk of the angle without a turn
-    turn_error: float = 0.003  # relative error of a turn by the gyro, per root radian
     usual_acceleration: float = 0.1  # g, sigma per axis of a moving robot
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
     given_acceleration: float = 0.03  # g, the same if the acceleration is measured
@@ -43,18 +40,36 @@ class FilterTuning:
     floor: float = 2e-3
     """g. Error of the accelerometer that no averaging removes, and least acceleration of a robot at
     rest or in steady motion."""
-    regain: float = 3.0  # seconds in which a wrong estimate of up is forgotten
     rest_length_sigma: float = 0.02  # g, prior sigma of the accelerometer's length at rest
+
+
+@dataclass(frozen=True)
+class GyroTuning:
+    """The errors of a gyro's angle, and of its bias."""
+
+    angle_walk: float = 1e-3  # random walk of the angle, radians per root second
+    turn_error: float = 0.005  # relative error of a turn, per root radian
+    bias_walk: float = 1.8e-5
+    walk_spread: float = 1.0
+    """Random walk of the bias, rad/s per root second: median, and standard deviation of the natural
+    logarithm. Cheap gyros drift by .001 to .01 °/s in a minute."""
+
+    def walk_variance(self, turned: float, seconds: float) -> float:
+        """Return the growth of the variance of an angle, rad², by a turn in radians."""
+        return self.angle_walk**2 * seconds + self.turn_error**2 * abs(turned)
+
+    @property
+    def usual_bias_walk(self) -> float:
+        """Root mean square of the random walk of the bias, rad/s per root second."""
+        return self.bias_walk * math.exp(self.walk_spread**2)
 
 
 @dataclass(frozen=True)
 class RestTuning:
     """When the robot counts as resting, so that the accelerometer measures up."""
 
-    largest_rate: float = 0.035
-    """rad/s. A constant rate above this, beyond the known bias, may be a turn. A smaller one is
-    taken for bias if there is no field."""
-    doubtful_rate: float = 0.01  # rad/s, the same if there is a field
+    doubtful_rate: float = 0.01
+    """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
     lasting: float = 4.0  # steady seconds after which the length of the force is not checked
     undecided: float = 1.0
     """The same if the length is inconclusive, and seconds of a rest from which bias and length at
@@ -64,14 +79,12 @@ class RestTuning:
     shortest: float = 0.1  # the same as `lasting` if the length excludes an acceleration
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
-    alike: float = 2.0  # sigmas of the noise that are allowed in addition
     length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
     sways: float = 2.0  # correlation time of the sway of a rolling robot, seconds
     level_share: float = 0.05
     """Least fraction of the raw field that rotates with the robot: a turn by an angle changes the
     field by more than this fraction of the angle."""
     field_mean: float = 0.25  # seconds over which the field is averaged before it is compared
-    field_lasts: float = 1.0  # seconds for which the last field sample is used
     shaken_force: float = 0.007
     shaken_field: float = 0.012
     """Largest deviations of means over a second, from the mean of a rest, while an engine shakes
@@ -101,21 +114,18 @@ class GyroCheckTuning:
     span: float = 0.4
     """Longest time over which force and turn are averaged before they are compared, seconds: two
     periods of an engine's shaking at 5 Hz, and less than half a nod."""
-    clear_turn: float = 5.0  # sigmas of the gyro's noise from which a turn is compared at once
     memory: float = 20.0  # seconds of evidence that are kept
     enough: float = 0.01  # g, root of the summed squared changes: a nod by 6°
     clear_noise: float = 10.0
     """Variances of the gyro's noise that the squared changes must exceed as well; an engine shakes
     by more than the measured noise."""
-    mirrored: float = -0.3
-    """Slope of the measured change of the force over the one predicted by the gyro, below which the
-    gyro is mirrored. The slope of a correct gyro is one, of a mirrored one minus one."""
     dead: int = 100  # messages with noise on another axis after which a constant axis is dead
     bend: float = 1e-4  # least second difference of a noisy rate, over the rate
 
 
-FILTER, REST, PROPAGATION, CHECK = (
+FILTER, GYRO, REST, PROPAGATION, CHECK = (
     FilterTuning(),
+    GyroTuning(),
     RestTuning(),
     PropagationTuning(),
     GyroCheckTuning(),
@@ -209,12 +219,13 @@ class UpFilter:
         self.state[:3] = up
         self.state[6:9] *= fast
         self.state[9:] *= kept
-        grown = FILTER.angle_walk**2 * seconds + FILTER.turn_error**2 * length(turned)
+        grown = GYRO.walk_variance(length(turned), seconds)
         acceleration = length(self.state[9:].tolist())
         if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
-            grown += acceleration**2 * seconds / FILTER.regain
+            # A wrong up looks like an acceleration; it is forgotten as soon as one ends.
+            grown += acceleration**2 * seconds / FILTER.acceleration_lasts
         p = step @ self.covariance @ step.T
-        walked = FILTER.bias_walk**2 * seconds
+        walked = GYRO.usual_bias_walk**2 * seconds
         sped = motion.speed**2 * (1.0 - fast**2)
         shoved = motion.acceleration**2 * (1.0 - kept**2)
         p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]

@@ -175,10 +175,10 @@ class GyroPropagation:
         excess = minus(interval.rate, self.bias)
         size = length(interval.force)
         about = abs(dot(excess, interval.force)) / size if size > 0.0 else length(excess)
-        if not self.field.is_heard(self._stamp):
-            return 0.0 if about < REST.largest_rate else about
         if self._is_still or about < REST.doubtful_rate:
             return 0.0
+        if not self.field.is_heard(self._stamp):
+            return about
         has_turned = self.field.has_turned(about)
         if has_turned is None:
             return about

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.slope import Slope
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     cross,
@@ -26,6 +27,7 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import TUNING as RESTED
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.filter import CHECK, REST
 
 
@@ -49,7 +51,7 @@ class FieldStillness:
         """Add a raw field sample (any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
-        if not 0.0 < seconds < REST.field_lasts:
+        if not 0.0 < seconds < STREAMS.longest_field_gap:
             self.mean, self._noise = field, 0.0
             self.begin()
         else:
@@ -67,7 +69,7 @@ class FieldStillness:
 
     def is_heard(self, stamp: float) -> bool:
         """Whether a field sample came shortly before a stamp."""
-        return abs(stamp - self._stamp) < REST.field_lasts
+        return abs(stamp - self._stamp) < STREAMS.longest_field_gap
 
     def has_turned(self, rate: float) -> bool | None:
         """Whether the robot really turns at a rate; None while the field is inconclusive.
@@ -115,7 +117,7 @@ class SteadyInterval:
         """
         force, rate, count, seconds = block
         if self.count:
-            alike = REST.alike * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = CLEAR * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
                 distance(force, self.force) < REST.loose + alike * noise
                 and distance(rate, self.rate) < REST.loose_rate + alike * rate_noise
@@ -205,7 +207,7 @@ class GyroCheck:
 
     def __init__(self) -> None:
         self.is_believed = True
-        self._together = self._expected = self._seen = self._count = self._noise = 0.0
+        self._slope, self._noise = Slope(CHECK.memory), 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -227,7 +229,8 @@ class GyroCheck:
         self._turn = plus(self._turn, turn)
         self._seconds += seconds
         self._variance += variance
-        clear = CHECK.clear_turn**2 * self._variance
+        # A turn clearly beyond the gyro's noise is compared at once.
+        clear = CLEAR**2 * self._variance
         if self._seconds < CHECK.span and dot(self._turn, self._turn) <= clear:
             return
         mean, before = scaled(self._force, 1.0 / self._seconds), self._before
@@ -241,24 +244,16 @@ class GyroCheck:
         # A direction fixed in the world changes in the body by u x w dt.
         expected = cross(old, interpolate(old_turn, self._turn, 0.5))
         seen = minus(new, old)
-        keeps = math.exp(-seconds / CHECK.memory)
-        self._together = keeps * self._together + dot(expected, seen)
-        self._expected = keeps * self._expected + dot(expected, expected)
-        self._seen = keeps * self._seen + dot(seen, seen)
-        self._count = keeps * self._count + 3.0
+        self._slope.add(dot(expected, seen), dot(expected, expected), dot(seen, seen), seconds, 3.0)
         # The noise across the force, in the mean of two turns.
-        self._noise = keeps * self._noise + self._variance
-        if self._expected > CHECK.enough**2 + CHECK.clear_noise * self._noise:
-            self._judge()
-
-    def _judge(self) -> None:
-        explained = self._together / self._expected
-        left = max(0.0, self._seen - explained * self._together)
-        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._expected)
-        if explained + CLEAR * sigma < CHECK.mirrored:
-            self.is_believed = False
-        elif explained - CLEAR * sigma > CHECK.mirrored:
-            self.is_believed = True
+        self._noise = math.exp(-seconds / CHECK.memory) * self._noise + self._variance
+        if self._slope.predicted > CHECK.enough**2 + CHECK.clear_noise * self._noise:
+            least, most = self._slope.bounds(CLEAR)
+            # The slope of a correct gyro is one, of a mirrored one minus one.
+            if most < 0.0:
+                self.is_believed = False
+            elif least > 0.0:
+                self.is_believed = True
 
 
 class DeadAxes:
