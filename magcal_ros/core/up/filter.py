@@ -79,6 +79,7 @@ class RestTuning:
     shortest: float = 0.1  # the same as `lasting` if the length excludes an acceleration
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
+    alike: float = 2.0  # sigmas of the noise that are allowed in addition
     length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
     sways: float = 2.0  # correlation time of the sway of a rolling robot, seconds
     level_share: float = 0.05
