@@ -62,6 +62,7 @@ class VehicleAccelerationTuning:
     up, seconds; also the pause after a time in which nothing could be subtracted."""
     watched: int = 60  # ticks over which it is tested whether the speed explains the force: 15 s
     fewest: int = 12  # of these ticks before anything is subtracted
+    gain: float = 0.4  # largest fraction of the force's variance that an adequate speed leaves
     along: float = 0.25
     """Least fraction of the changes of velocity that are starts and stops, for fixes."""
     quiet: float = 0.3  # m/s², scatter of the force that needs no explanation
@@ -90,8 +91,7 @@ class MountingYawTuning:
     first_energy: float = 4.0
     """The same for a usable yaw, and for the force while a speed is stuck: half a start."""
     believed: float = math.radians(6.0)  # largest sigma of a usable yaw, radians
-    explained: float = 0.4
-    """Least fraction of the force's changes that the speed explains, in minutes and in seconds."""
+    explained: float = 0.4  # least fraction of the force's changes that the speed explains
     floor: float = math.radians(0.3)  # least sigma, radians: suspension, tyres
     largest_delay: float = 8.0  # largest latency that is tried, seconds; the least is -1/8 of it
     reuse: float = 8.0  # seconds between fits

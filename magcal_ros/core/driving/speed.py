@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SPEED, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple, minus
 from magcal_ros.core.knowledge import CLEAR
@@ -340,8 +340,7 @@ class VehicleAcceleration:
         """Test whether the speed explains the force of the last seconds."""
         force, change, along = np.array(self._seen).T
         without, quiet = float(np.var(force)), ACCELERATION.quiet**2
-        left = 1.0 - MOUNTING.explained
-        limit = left * without if without > quiet else quiet
+        limit = ACCELERATION.gain * without if without > quiet else quiet
         is_explained = float(np.var(force - self._turn * change)) <= limit
         # In a steady circle the gyro is enough: the speed from fixes would only add noise.
         changes, starts = (float(np.sum(np.abs(each) ** 2)) for each in (change, along))

@@ -31,6 +31,9 @@ class FilterTuning:
     the first rest."""
     seen_at_rest: float = 0.002  # sigma of the bias about up that needs a rest, rad/s
     largest_bias: float = 0.16  # rad/s, length of any estimate: 5°/s on each axis, and a little
+    angle_walk: float = 3e-4
+    turn_error: float = 0.003
+    """As of `GyroTuning`, smaller: with the values of a yaw, up of a hand-held sensor is worse."""
     usual_acceleration: float = 0.1  # g, sigma per axis of a moving robot
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
     given_acceleration: float = 0.03  # g, the same if the acceleration is measured
@@ -79,6 +82,7 @@ class RestTuning:
     shortest: float = 0.1  # the same as `lasting` if the length excludes an acceleration
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
+    alike: float = 2.0  # sigmas of the noise that are allowed in addition
     length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
     sways: float = 2.0  # correlation time of the sway of a rolling robot, seconds
     level_share: float = 0.05
@@ -219,7 +223,7 @@ class UpFilter:
         self.state[:3] = up
         self.state[6:9] *= fast
         self.state[9:] *= kept
-        grown = GYRO.walk_variance(length(turned), seconds)
+        grown = FILTER.angle_walk**2 * seconds + FILTER.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
         if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
             # A wrong up looks like an acceleration; it is forgotten as soon as one ends.

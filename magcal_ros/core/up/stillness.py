@@ -117,7 +117,7 @@ class SteadyInterval:
         """
         force, rate, count, seconds = block
         if self.count:
-            alike = CLEAR * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = REST.alike * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
                 distance(force, self.force) < REST.loose + alike * noise
                 and distance(rate, self.rate) < REST.loose_rate + alike * rate_noise
