@@ -371,10 +371,8 @@ def _widened(model: Model, point: Point, solution: Solution) -> Point:
     """Return the point with the root mean squares of the sizes, for the covariance.
 
     The yaw error of non-orthogonal axes is known from the size of the soft iron only, whose mean
-    square is used. So is that of the field's gradient without a gyro: few of its components are
-    observable, and with the most likely size sigma would be too small. The motors' field may be a
-    step, or proportional to the rate or the current. A steady turn cannot separate these: each may
-    be as large as their sum.
+    square is used. The motors' field may be a step, or proportional to the rate or the current. A
+    steady turn cannot separate these: each may be as large as their sum.
     """
     _, shown, _ = noise_sizes(model, point, solution)
     beliefs = model.priors.sizes
@@ -382,9 +380,7 @@ def _widened(model: Model, point: Point, solution: Solution) -> Point:
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
     }
-    is_by_field = model.nodes.tied_to is not None
-    by_mean = frozenset({"soft_iron", "gradient"} if is_by_field else {"soft_iron"})
-    expected = effect_factors(model, point, solution, by_mean)
-    groups = point.groups | {name: expected[name] for name in {*by_mean, "axes"}}
+    expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
+    groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
     groups |= whole_field_factors(point)
     return replace(point, sizes=wide, groups=groups)
