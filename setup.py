@@ -58,17 +58,19 @@ TEST_WITHOUT_ROS = [
     *LIVE_VIEW,
     *PX4_LOGS,
     *REPORT,
+    # This and what it needs are plugins of pytest, as pytest-rerunfailures is: workers that start
+    # while a plugin is being installed would have one that the controller has not.
+    "colcon-common-extensions==0.3.0",
     "hypothesis>=6.100",
     # A second evaluation of the World Magnetic Model to compare with.
     "pygeomag>=1.1",
     "pytest>=8",
+    "pytest-rerunfailures>=15",
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
 ]
 TEST_TOOLS = [
-    "colcon-common-extensions==0.3.0",
     "mypy>=1.11",
-    "pytest-rerunfailures>=15",
     "ruff>=0.6",
     "scipy-stubs; python_version >= '3.11'",
     "types-PyYAML",
