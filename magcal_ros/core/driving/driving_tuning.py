@@ -35,9 +35,8 @@ class SpeedTuning:
     receiver_delay: float = 0.5
     """Latency of a receiver's stamps until it is measured, seconds; .4 to .8 were seen."""
     remembered: int = 12000  # samples kept of a source: ten minutes at 20 Hz
-    shortest: float = (
-        0.045  # shortest interval of samples that are used, seconds; others are skipped
-    )
+    shortest: float = 0.045
+    """Shortest interval of samples that are used, seconds; the others are skipped."""
     counted: float = 500.0  # newest samples of which impossible jumps are counted
 
 

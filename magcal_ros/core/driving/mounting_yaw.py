@@ -153,7 +153,8 @@ def _delay(table: TickTable, record: SpeedTrack) -> float:
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
     delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
-    scores = np.array([_correlation(_at_delay(table, record, d)) for d in delays])
+    speeds = record.along(table.stamp, delays[:, None])
+    scores = np.array([_correlation(table._replace(speed=speed)) for speed in speeds])
     best = int(np.argmax(scores))
     now = float(np.interp(record.delay, delays, scores))
     is_clear = scores[best] ** 2 > MOUNTING.explained and scores[best] > now + 0.02

@@ -120,12 +120,15 @@ class SpeedTrack:
         """Whether no further sample before a stamp of the IMU can come."""
         return self.newest >= stamp + self.delay
 
-    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
-        """Return the speed at stamps (n,) of the IMU for another latency, NaN if unknown."""
-        if len(self._kept) < 2:
-            return np.full(len(stamps), math.nan)
-        time, speed = np.array(self._kept).T
+    def along(self, stamps: FloatArray, delay: float | FloatArray) -> FloatArray:
+        """Return the speed at stamps (n,) of the IMU for another latency, NaN if unknown.
+
+        For several latencies, shape (d, 1), the result has the shape (d, n).
+        """
         moments = stamps + delay
+        if len(self._kept) < 2:
+            return np.full(moments.shape, math.nan)
+        time, speed = np.array(self._kept).T
         after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
         span, change = np.diff(time), np.diff(speed)
         broken = (span > self.gap) | (np.abs(change) > largest_change(span))

@@ -45,7 +45,7 @@ class HullDrift:
     def __init__(self) -> None:
         self.share = Slope(math.inf)
         self._last: Chord | None = None
-        # So few chords as agree by chance are no evidence.
+        # A prior without drift: the first few chords may agree by chance.
         weight = COURSE.prior_weight
         self.share.add(0.0, 0.0, weight * COURSE.largest_turn**2, count=weight)
 
@@ -55,7 +55,7 @@ class HullDrift:
         if last is None or chord.stamp - last.stamp > COURSE.together:
             return
         turned = wrapped(chord.gyro_gap + chord.course - last.gyro_gap - last.course)
-        # A sign that is wrong for a while does not change the axis.
+        # Modulo half a turn, because the sign of the speed may be wrong for a while.
         missed = math.remainder(chord.gyro_gap - last.gyro_gap, math.pi)
         self.share.add(turned * missed, turned**2, missed**2)
 
