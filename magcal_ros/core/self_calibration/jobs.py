@@ -52,12 +52,10 @@ class SelfCalibrationTuning:
     longest_trial: float = 300.0  # seconds for which the previous calibration is still compared
     likelihood_proof: float = 12.0
     iron_proof: float = 8.0
-    """Least log likelihood ratio on the probation's data, positive in both halves. It is lower for
-    hard iron, whose change was clear before."""
-    elsewhere_proof: float = 2.0
-    """Least of this ratio without the quarter of headings that contributes most, if all twelve
-    numbers are new."""
-    most_against: float = 1.5  # largest sum over the headings that contradict a changed hard iron
+    """Least log likelihood ratio on the probation's data, roadside steel allowed; both halves must
+    gain. It is lower for hard iron, whose change was clear before."""
+    roadside: float = 0.01
+    """Prior probability of steel on one side of all roads of one quarter of the headings."""
     usual_speed: float = 5.0  # m/s of a robot whose speed is not measured
     memory: float = 600.0  # seconds of driving that are kept
     map_every: float = 0.5  # seconds between points of the map of a drive
@@ -187,18 +185,14 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio) -> str:
     """Return in words why a calibration is better than the one in force; empty if not proved.
 
-    Added iron is visible at nearly all headings. Steel on one side of the path affects a quarter of
-    the headings, and contradicts the new calibration at the others.
+    An earlier calibration was fitted to other data: steel that imitates it is most unlikely.
     """
     is_iron = kind is CandidateKind.IRON
     enough = SELF_CALIBRATION.iron_proof if is_iron else SELF_CALIBRATION.likelihood_proof
-    is_clear = ratio.gain > enough and min(ratio.halves) > 0.0
-    is_elsewhere = (
-        kind is not CandidateKind.ALL
-        or ratio.without_best_quarter >= SELF_CALIBRATION.elsewhere_proof
-    )
-    is_unopposed = not is_iron or ratio.opposing <= SELF_CALIBRATION.most_against
-    if not (is_clear and is_elsewhere and is_unopposed):
+    gain = ratio.gain
+    if kind is not CandidateKind.EARLIER:
+        gain = ratio.gain_over_steel(SELF_CALIBRATION.roadside)
+    if gain <= enough or min(ratio.halves) <= 0.0:
         return ""
     return (
         f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "

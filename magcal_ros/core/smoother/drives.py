@@ -253,18 +253,19 @@ class LikelihoodRatio:
         return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
 
     @property
-    def without_best_quarter(self) -> float:
-        """The ratio without the three sectors that favour the new calibration most.
+    def by_quarter(self) -> FloatArray:
+        """The ratio over three neighbouring sectors, for each of the first ones, shape (12,)."""
+        return np.asarray(sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4)))
 
-        Steel on one side of the path affects one quarter of the headings only.
+    def gain_over_steel(self, roadside: float) -> float:
+        """Return the ratio if the old calibration may come with roadside steel.
+
+        Steel on one side of all roads of one quarter of the headings, with the prior probability
+        `roadside`, explains the data there as well as the new calibration does.
         """
-        quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
-        return float(self.gain - np.max(quarters))
-
-    @property
-    def opposing(self) -> float:
-        """The sum over the sectors that favour the old calibration, as a positive number."""
-        return float(-np.sum(np.minimum(self.by_sector, 0.0)))
+        elsewhere = self.gain - self.by_quarter
+        steel = np.logaddexp.reduce(-elsewhere) + math.log(roadside / SECTORS)
+        return -float(np.logaddexp(math.log1p(-roadside) - self.gain, steel))
 
 
 def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:
