@@ -186,10 +186,10 @@ def draw_knowledge(condition: Condition, robot: Robot, rng: np.random.Generator)
     wrong = [
         s * rng.standard_normal() if math.isfinite(s) else 0.0 for s in (strength_sigma, dip_sigma)
     ]
-    told = replace(
+    reported = replace(
         robot, strength=robot.strength + wrong[0], inclination=robot.inclination + wrong[1]
     )
-    return told.knowledge(strength_sigma, dip_sigma)
+    return reported.knowledge(strength_sigma, dip_sigma)
 
 
 def _score(estimate: Estimate, robot: Robot) -> tuple[float, float]:

@@ -161,7 +161,7 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
     both = "-"
     if halves:
         both = " / ".join(f"{value:.1f}" for value in np.sqrt(np.mean(np.square(halves), axis=0)))
-    told_of = (told(beta, len(drives)), told(offset, len(drives)))
+    told_of = (reported(beta, len(drives)), reported(offset, len(drives)))
     show((name, f"{minutes:.0f}", tilt, rms, *told_of, both))
 
 
@@ -172,14 +172,14 @@ def without(offset: float, gap: FloatArray) -> tuple[float, float]:
     return rms[0], rms[1]
 
 
-def told(found: list[tuple[float, float]], drives: int) -> str:
+def reported(found: list[tuple[float, float]], drives: int) -> str:
     """Return RMS error, median sigma in degrees, NEES, and of how many drives."""
     if not found:
         return "-"
     error, sigma = np.array(found).T
-    rms, said = math.degrees(np.sqrt(np.mean(error**2))), math.degrees(np.median(sigma))
+    rms, stated = math.degrees(np.sqrt(np.mean(error**2))), math.degrees(np.median(sigma))
     answered = "" if len(found) == drives else f", {len(found)} of {drives}"
-    return f"{rms:.2f} ({said:.2f}, {np.mean((error / sigma) ** 2):.1f}{answered})"
+    return f"{rms:.2f} ({stated:.2f}, {np.mean((error / sigma) ** 2):.1f}{answered})"
 
 
 def traps(drives: int) -> None:
@@ -206,8 +206,8 @@ def traps(drives: int) -> None:
 
 def odd_ones(drives: int) -> None:
     """Print what becomes of o where a course is no heading, or the field is not the vehicle's."""
-    print("\nAnd where nothing, or less, may be told of o")
-    show(("what", "told of", "o RMS (said, NEES)"))
+    print("\nAnd where o must not be reported, or with a larger sigma")
+    show(("what", "reported", "o RMS (sigma, NEES)"))
     show(("---",) * 3)
     trailer = Iron((10e-6, 0.0, 0.0), 80.0, 160.0)
     for name, legs_of, options, current in (
@@ -224,7 +224,7 @@ def odd_ones(drives: int) -> None:
             course = follow(drive.samples(), of_robot(drive)).course
             if course is not None:
                 found.append((math.remainder(course.offset - 0.1, math.tau), course.sigma))
-        show((name, f"{len(found)} of {drives}", told(found, len(found))))
+        show((name, f"{len(found)} of {drives}", reported(found, len(found))))
 
 
 def drifting(rng: np.random.Generator) -> list[Leg]:
@@ -254,7 +254,7 @@ def directions(drive: Drive) -> tuple[int, int]:
 
 
 def recorded(folder: Path) -> None:
-    """Print what recorded cars tell: heading with and without their fixes, beta, o."""
+    """Print the results of recorded cars: heading with and without their fixes, beta, o."""
     show(("recording", "heading RMS without speed", "with", "beta", "-o", "swing once around"))
     show(("---",) * 6)
     for name, turned in CARS.items():

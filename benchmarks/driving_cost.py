@@ -32,10 +32,10 @@ from magcal_ros.ros.rehearsal import SensorSource, set_time
 
 WARM_UP = 30.0
 APART = 3e-3
-"""Seconds by which wheels speak later than the IMU: another device does not keep its time."""
-NOBODYS = tuple(f"{topic}:=nobody/{topic}" for topic in ("odom", "gps/fix", "gps/vel"))
+"""Seconds by which the messages of the wheels, from another device, are later than the IMU's."""
+UNUSED = tuple(f"{topic}:=unused/{topic}" for topic in ("odom", "gps/fix", "gps/vel"))
 KINDS = {
-    "without": ("-p", "self_calibration:='off'", *(p for name in NOBODYS for p in ("-r", name))),
+    "without": ("-p", "self_calibration:='off'", *(p for name in UNUSED for p in ("-r", name))),
     "beside": ("-p", "self_calibration:=propose"),
 }
 
@@ -56,8 +56,8 @@ class Car:
         """Go on until so many seconds after the start."""
         for sample in self._samples:
             stamp = sample.stamp - self._first + self._began
-            heard = stamp + APART if isinstance(sample, SpeedSample) else stamp
-            time.sleep(max(0.0, heard - time.time()))
+            received = stamp + APART if isinstance(sample, SpeedSample) else stamp
+            time.sleep(max(0.0, received - time.time()))
             if isinstance(sample, (ImuSample, FieldSample)):
                 self._sensors.publish(sample._replace(stamp=stamp))
             elif isinstance(sample, SpeedSample):
@@ -109,9 +109,9 @@ def main() -> None:
         after = [(stage.cpu_seconds(pid), children_seconds(pid)) for pid in pids]
     used = 1e3 / length * (np.array(after) - before)
     without, beside = used[0::2], used[1::2]
-    told = [" and ".join(f"{each:.1f}" for each in kind[:, 0]) for kind in (without, beside)]
+    reported = [" and ".join(f"{each:.1f}" for each in kind[:, 0]) for kind in (without, beside)]
     print(
-        f"CPU, ms a second: without {told[0]}, with all {told[1]}, ratio of the means"
+        f"CPU, ms a second: without {reported[0]}, with all {reported[1]}, ratio of the means"
         f" {beside[:, 0].mean() / without[:, 0].mean():.2f}; fitting beside each:"
         f" {beside[:, 1].mean():.1f}"
     )

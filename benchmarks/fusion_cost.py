@@ -41,31 +41,31 @@ def run(samples: list[ImuSample | FieldSample], calibration: Calibration) -> lis
     spent, counts = [0.0, 0.0, 0.0], [0, 0]
     clock = time.perf_counter
     for sample in samples:
-        begun = clock()
+        started = clock()
         if isinstance(sample, ImuSample):
             counts[0] += 1
             follower.add(sample)
-            spent[0] += clock() - begun
+            spent[0] += clock() - started
             up = follower.at(sample.stamp, 0.0)
             assert up is not None
-            begun = clock()
+            started = clock()
             fused.propagate(
                 sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
             )
             fused.heading()
-            spent[1] += clock() - begun
+            spent[1] += clock() - started
             continue
         counts[1] += 1
         follower.add_field(sample.stamp, sample.field)
-        spent[0] += clock() - begun
+        spent[0] += clock() - started
         up = follower.at(sample.stamp, STREAMS.max_gap)
         assert up is not None
         field = compass.correct(sample.field)
         heading = compass.heading(field, up.direction, up.variance)
         assert heading is not None
-        begun = clock()
+        started = clock()
         fused.correct(sample.stamp, field, up, heading)
-        spent[2] += clock() - begun
+        spent[2] += clock() - started
     return [spent[0] / counts[0], spent[1] / counts[0], spent[2] / counts[1]]
 
 

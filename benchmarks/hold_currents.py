@@ -1,4 +1,4 @@
-"""Turns of robots that tell their current: `python benchmarks/hold_currents.py [--runs N]`.
+"""Turns of robots that report their current: `python benchmarks/hold_currents.py [--runs N]`.
 
 The motors add a field of so many microtesla at their largest current while the robot turns, in
 one of these shapes: "hold" follows the current, also that by which the robot holds itself while it
@@ -89,10 +89,10 @@ def row(options: argparse.Namespace, shape: str, course: str, size: float) -> No
         )
         for case in cases[options.battery :]:
             messages = battery if case is cases[1] else ()
-            window, begun = collected(scene.window, messages), time.process_time()
+            window, started = collected(scene.window, messages), time.process_time()
             estimate = calibrate(window, known).estimate
             for way in case:
-                spent[way] += time.process_time() - begun
+                spent[way] += time.process_time() - started
                 if estimate is not None:
                     found[way].append(judged(scene, estimate, way))
     for way, values in found.items():

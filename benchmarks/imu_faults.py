@@ -2,11 +2,12 @@
 
 Each run puts one fault, or two at once, on the sensors of a realistic robot: cheap ones, at their
 own rates, with jitter, vibration, a lever arm, a sloping floor, hard and soft iron, and a
-magnetometer that sits up to 8° askew. "turn" turns once in a row; "lift" lifts the nose meanwhile;
-"half minute" stands, turns left once and lifts the nose, as `magcal doctor` asks for; "quarter"
-turns only so far. Found is a fault whose own line of the page says so. "blamed" are lines about
-what is not at fault; where the page asks which of two sensors errs because the movement cannot
-tell, that counts as found, and in "either". A good robot's page must say nothing.
+magnetometer whose installation is up to 8° off. In "turn" the robot turns once; in "lift" the nose
+is lifted meanwhile; in "half minute" it stands, turns left once, and the nose is lifted, as `magcal
+doctor` asks for; in "quarter" it turns by 90°. A fault is found if its own line of the page names
+it. Lines about sensors without a fault are "blamed". If the movement does not show which of two
+sensors is wrong and the page asks, this counts as found, and in "either". The page of a good robot
+must name nothing.
 """
 
 from __future__ import annotations

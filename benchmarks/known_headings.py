@@ -2,12 +2,12 @@
 
 Robots with the sensors of `realistic.py` stand at one to three known headings, on slopes and in a
 field that differs from place to place. Printed are the RMS error of the heading over all headings
-on the level, what is promised, and NEES; then what becomes of headings that are told wrongly.
+on the level, its sigma, and NEES; then the results for wrong headings.
 
 With `--outages N`: N drives through a city (those of `driving.py`) with two antennas for four
 minutes, which calibrate the compass; then they are silent. Printed are the errors of the fused yaw
 after 60, 300 and 600 s, what it says of them, and those of the gyro alone: with the bias that the
-antennas had shown, and where each rest shows it anew.
+antennas had shown, and with that which each rest shows.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ from magcal_ros.core.up.propagation import GyroBias
 
 HEADINGS = 24
 TOLD: dict[str, Callable[[float, float], float]] = {
-    "right": lambda told, _: told,
-    "as a compass bearing": lambda told, _: 0.5 * math.pi - told,
-    "with the wrong sign": lambda told, _: -told,
-    "half a turn off": lambda told, _: told + math.pi,
-    "a quarter turn off": lambda told, _: told - 0.5 * math.pi,
-    "magnetic for true": lambda told, declination: told + declination,
+    "right": lambda reported, _: reported,
+    "as a compass bearing": lambda reported, _: 0.5 * math.pi - reported,
+    "with the wrong sign": lambda reported, _: -reported,
+    "half a turn off": lambda reported, _: reported + math.pi,
+    "a quarter turn off": lambda reported, _: reported - 0.5 * math.pi,
+    "magnetic for true": lambda reported, declination: reported + declination,
 }
-"""What is told instead of a heading to true north, by it and the declination, radians."""
+"""The heading that is given instead of one to true north, by it and the declination, radians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Scene:
     def errors(
         self, measurements: list[KnownHeadingMeasurement] | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the heading's errors on the level, and the variances that are promised."""
+        """Return the heading's errors on the level, and its variances."""
         estimate = fit(self.measurements if measurements is None else measurements, self.knowledge)
         yaws = np.arange(HEADINGS) * math.tau / HEADINGS
         poses = np.array([rotation_from_rpy(0.0, 0.0, yaw).T for yaw in yaws])
@@ -112,12 +112,12 @@ def drawn(
         here = robot.field_enu + place * rng.standard_normal(3)
         field = distortion @ (pose @ here) + robot.hard_iron + 0.15e-6 * rng.standard_normal(3)
         force = STANDARD_GRAVITY * pose[:, 2] + offset + 0.005 * rng.standard_normal(3)
-        told = math.atan2(pose[0, 1], pose[0, 0]) + sigma * DEGREE * rng.standard_normal()
+        reported = math.atan2(pose[0, 1], pose[0, 0]) + sigma * DEGREE * rng.standard_normal()
         measurements.append(
             KnownHeadingMeasurement(
                 field,
                 force,
-                wrapped(told + robot.declination),
+                wrapped(reported + robot.declination),
                 sigma * DEGREE,
                 by_declination=declination != 0.0,
             )
@@ -129,8 +129,8 @@ def drawn(
 
 
 def row(robots: int, count: int, sigma: float, declination: float = 0.0) -> str:
-    """Return a row of the table: RMS error, median promised sigma, NEES."""
-    square, said, nees, refused = [], [], [], 0
+    """Return a row of the table: RMS error, median sigma, NEES."""
+    square, stated, nees, refused = [], [], [], 0
     for seed in range(robots):
         scene = drawn(np.random.default_rng(seed), count, sigma, declination)
         try:
@@ -139,9 +139,9 @@ def row(robots: int, count: int, sigma: float, declination: float = 0.0) -> str:
             refused += 1
             continue
         square.append(np.mean(off**2))
-        said.append(math.sqrt(np.mean(variance)))
+        stated.append(math.sqrt(np.mean(variance)))
         nees.append(np.mean(off**2) / np.mean(variance))
-    rms, median = math.sqrt(np.mean(square)) / DEGREE, np.median(said) / DEGREE
+    rms, median = math.sqrt(np.mean(square)) / DEGREE, np.median(stated) / DEGREE
     north = "true" if declination else "magnetic"
     return (
         f"| {count} | {sigma:g}° to {north} north | {rms:.2f} | {median:.2f} | "
@@ -158,13 +158,13 @@ def told_wrongly(robots: int, count: int, declination: float) -> None:
         for seed in range(robots):
             scene = drawn(np.random.default_rng(1000 + seed), count, 1.0, declination)
             shift = scene.robot.declination
-            told = [
+            reported = [
                 replace(each, heading=wrapped(change(each.heading - shift, shift) + shift))
                 for each in scene.measurements
             ]
             try:
-                estimate = fit(told, scene.knowledge)
-                hint = declination_hint(estimate, told, scene.knowledge)
+                estimate = fit(reported, scene.knowledge)
+                hint = declination_hint(estimate, reported, scene.knowledge)
                 came["named" if hint else "taken"] += 1
             except Refusal as refusal:
                 came["named" if "Corrected so" in str(refusal) else "refused"] += 1
@@ -246,9 +246,9 @@ class Follower:
         if up is None:
             return
         if since < HEARD:
-            told, shift = self._told(k), self._knowledge.reference.declination or 0.0
-            heard = sample, up.direction, self._up.rate, told, shift, self._up.is_at_rest
-            if self._log.add(*heard, self._turn):
+            reported, shift = self._told(k), self._knowledge.reference.declination or 0.0
+            received = sample, up.direction, self._up.rate, reported, shift, self._up.is_at_rest
+            if self._log.add(*received, self._turn):
                 self._calibrate()
         if self._compass is not None and self._fused is not None:
             field = self._compass.correct(sample.field)
@@ -265,11 +265,11 @@ class Follower:
                 self._fused = FusedYaw(outcome.calibration, PATIENCE)
             self._fused.use(outcome.calibration, PATIENCE)
 
-    def _on_heading(self, stamp: float, told: ExternalHeading) -> None:
+    def _on_heading(self, stamp: float, reported: ExternalHeading) -> None:
         if self._fused is not None:
             x, y, z = self._forward.tolist()
-            yaw = told.yaw + (self._knowledge.reference.declination or 0.0)
-            self._fused.take_heading(stamp, yaw, told.sigma**2, (x, y, z))
+            yaw = reported.yaw + (self._knowledge.reference.declination or 0.0)
+            self._fused.take_heading(stamp, yaw, reported.sigma**2, (x, y, z))
 
 
 def outages(drives: int, first: int) -> None:
@@ -305,11 +305,11 @@ def outages(drives: int, first: int) -> None:
             sigmas.append(predicted_heading_sigma(follower.calibration))
     for silent in SILENT:
         rows = np.array([row[1:] for row in found if row[0] == silent])
-        fused, said, *gyros = rows.T
+        fused, stated, *gyros = rows.T
         worst = np.abs(fused).max() / DEGREE
         print(
             f"| {silent:g} | {rms_degrees(fused):.2f} ({worst:.1f}) | "
-            f"{np.median(said) / DEGREE:.2f} | {np.mean((fused / said) ** 2):.2f} |",
+            f"{np.median(stated) / DEGREE:.2f} | {np.mean((fused / stated) ** 2):.2f} |",
             *(
                 f"{rms_degrees(gyro):.2f} | {np.sum(np.abs(fused) < np.abs(gyro))} of {len(rows)} |"
                 for gyro in gyros

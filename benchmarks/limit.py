@@ -79,7 +79,7 @@ def covariance_limit(
 
 def _prior(knowledge: Knowledge, robot: Robot, *, soft_iron: bool, yaw: bool) -> FloatArray:
     """Return the prior information on the shared parameters; infinite if they are known."""
-    reference, believed = knowledge.reference, knowledge.soft_iron
+    reference, assumed = knowledge.reference, knowledge.soft_iron
 
     def of(belief: Belief, unit: float) -> float:
         if belief.is_unknown:
@@ -90,7 +90,7 @@ def _prior(knowledge: Knowledge, robot: Robot, *, soft_iron: bool, yaw: bool) ->
     out[YAW] = knowledge.mounting.yaw_sigma**-2.0 if yaw else math.inf
     out[STRENGTH] = of(reference.strength, robot.strength)
     out[DIP] = of(reference.inclination, 1.0)
-    sigma = np.repeat([believed.sigma_diagonal, believed.sigma_cross], 3)
+    sigma = np.repeat([assumed.sigma_diagonal, assumed.sigma_cross], 3)
     out[SOFT_IRON] = sigma**-2.0 if soft_iron else math.inf
     return out
 

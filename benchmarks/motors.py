@@ -12,7 +12,7 @@ nothing.
 
 For rest and motion each row shows the RMS of the heading error (degrees), NEES (its square over
 the published variance, capped at a hundred), and the share of messages whose error is silent: more
-than five degrees, and more than three published sigmas. The first minute of a drive is told by
+than five degrees, and more than three published sigmas. The first minute of a drive is evaluated by
 itself. The seeds are `--first` and those after it.
 """
 
@@ -123,8 +123,8 @@ def robot_of(shape: str, size: float, seed: int, seconds: float, turn: list[Leg]
     load, current = motors_of(shape, truth, rng)
     added = size * 1e-6 * np.outer(load, direction(rng)) @ robot.distortion.T
     stamps = truth.time[::3]
-    told = -np.interp(stamps - 0.1, truth.time, current)
-    battery = () if shape.endswith("no battery") else tuple(zip(stamps, told, strict=True))
+    reported = -np.interp(stamps - 0.1, truth.time, current)
+    battery = () if shape.endswith("no battery") else tuple(zip(stamps, reported, strict=True))
     strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
     dip = Belief(robot.inclination + math.radians(rng.normal(0.0, 1.0)), math.radians(1.0))
     return Robotic(
@@ -242,8 +242,8 @@ def main() -> None:
                     for way, tally in tallies.items():
                         tally.take(robotic, calibration, way)
             for way, tally in tallies.items():
-                told = f"{shape}, {size:g} µT"
-                print(f"{told:25}{way:7}{tally.words()}", flush=True)
+                reported = f"{shape}, {size:g} µT"
+                print(f"{reported:25}{way:7}{tally.words()}", flush=True)
             if refused:
                 print(f"   {refused} turns refused")
 

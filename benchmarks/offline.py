@@ -76,29 +76,29 @@ def messages(window: Window, types: dict[str, Any]) -> Iterator[tuple[int, Any]]
 
 def time_reading(path: Path) -> float:
     """Seconds until the library has handed over every message."""
-    begun = time.perf_counter()
+    start = time.perf_counter()
     with AnyReader([path]) as reader:
         for connection, _, data in reader.messages():
             reader.deserialize(data, connection.msgtype)
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def time_gathering(path: Path) -> float:
     """Seconds until everything lies in the session, before the fit."""
-    begun = time.perf_counter()
+    start = time.perf_counter()
     with open_recording(path) as source:
         collector = SampleCollector(ROBOT.mounting)
         collector.take(source.readings())
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def time_fit(path: Path, output: Path) -> float:
     """Seconds of the whole command."""
-    begun = time.perf_counter()
+    start = time.perf_counter()
     reference = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
     status = magcal(["fit", str(path), "--output", str(output), *reference])
     assert status == 0
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def main() -> None:

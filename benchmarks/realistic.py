@@ -2,8 +2,8 @@
 
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
 without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
-median promised sigma, NEES of the heading, and the share beyond three sigmas. Sensors are judged as
-they are used: an accelerometer that is off is off afterwards, too; motors are off when they are.
+median sigma, NEES of the heading, and the share beyond three sigmas. Sensors are evaluated as they
+are used: an accelerometer with an offset has it afterwards, too; motors are switched off.
 Some effects have a course of their own: a rest before and after the turn, stops on the way, an
 uneven speed. Such turns go through a session, as those of a robot do. The third line is the RMS
 with the gyro over that without, of the turns that are answered either way: more should never hurt.
@@ -62,7 +62,7 @@ class Row:
     refused: int = 0
     warned: int = 0
     answers: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """Error and promised sigma by number, radians."""
+    """Error and sigma by number, radians."""
     reasons: Counter[str] = field(default_factory=Counter)
 
     def take(self, number: int, scene: Scene, knowledge: Knowledge) -> None:

@@ -1,6 +1,6 @@
 """Decisions of self-calibration on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
 
-Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
+Each recording is repeated as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
 Where more than six minutes were driven, 10 µT are added after two of them, in eight directions; and
 a rough calibration is in force, off by draws of its own uncertainty, which a better one should
@@ -48,18 +48,20 @@ def main() -> None:
         drive = changed(read_drive(folder, None), arguments.changed)
         if arguments.only not in folder.name or drive.everything.angular_rate is None:
             continue
-        _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))
-        for begun, name in in_force(drive):
+        _tell("from nothing", drive, None, reported(drive, None, 0.0, 1.0))
+        for initial, name in in_force(drive):
             for first, last in ((0.0, 1.0), (0.0, 0.6), (0.4, 1.0)):
-                replay = told(drive, begun, first, last)
+                replay = reported(drive, initial, first, last)
                 windows += 1
-                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, replay)
+                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, initial, replay)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
                 for seed in DRAWS:
-                    rough = roughly(begun, seed)
-                    _tell(f"a rough one in force, draw {seed}", drive, rough, told(drive, rough))
+                    rough = roughly(initial, seed)
+                    _tell(
+                        f"a rough one in force, draw {seed}", drive, rough, reported(drive, rough)
+                    )
                 for eighth in range(8):
-                    _tell_change(drive, begun, eighth * 0.25 * math.pi)
+                    _tell_change(drive, initial, eighth * 0.25 * math.pi)
     print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
 
 
@@ -73,22 +75,22 @@ def roughly(known: Calibration, seed: int) -> Calibration:
     return replace(known, correction=correction, covariance=covariance)
 
 
-def told(
-    drive: Drive, begun: Calibration | None, first: float = 0.0, last: float = 1.0
+def reported(
+    drive: Drive, initial: Calibration | None, first: float = 0.0, last: float = 1.0
 ) -> DriveReplay:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
     samples = (each for each in drive.recording.samples() if start <= each.stamp <= stop)
-    return replay_drive(drive.knowledge, begun, samples, ())
+    return replay_drive(drive.knowledge, initial, samples, ())
 
 
-def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
+def _tell_change(drive: Drive, initial: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
     replay = replay_drive(
         drive.knowledge,
-        begun,
+        initial,
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and each.stamp > start
@@ -97,10 +99,10 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
         ),
         (),
     )
-    old = begun.correction
-    right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
+    old = initial.correction
+    right = replace(initial, correction=Correction(old.matrix, old.hard_iron + iron))
     print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
-    print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
+    print(f"{math.degrees(difference(initial, right)):.0f}°:", end=" ")
     for at, made in replay.decisions:
         left = ""
         if made.calibration is not None:
@@ -117,9 +119,9 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
     return found.rms if found else math.nan
 
 
-def _tell(name: str, drive: Drive, begun: Calibration | None, replay: DriveReplay) -> bool:
-    before, after = score(drive, begun), score(drive, replay.last_calibration)
-    said = (
+def _tell(name: str, drive: Drive, initial: Calibration | None, replay: DriveReplay) -> bool:
+    before, after = score(drive, initial), score(drive, replay.last_calibration)
+    stated = (
         math.degrees(predicted_heading_sigma(replay.last_calibration))
         if replay.last_calibration
         else math.nan
@@ -129,7 +131,7 @@ def _tell(name: str, drive: Drive, begun: Calibration | None, replay: DriveRepla
     is_worse = after > before + WORSE
     print(
         f"{drive.name:28s}{name:32s}{replay.moved:5.0f} s moved, changed after {first:4.0f} s, said"
-        f" {said:4.1f}, rms {before:5.2f} -> {after:5.2f}{' WORSE' if is_worse else ''} {made}",
+        f" {stated:4.1f}, rms {before:5.2f} -> {after:5.2f}{' WORSE' if is_worse else ''} {made}",
         flush=True,
     )
     return is_worse

@@ -1,10 +1,10 @@
 """Calibrations of real recordings: `python benchmarks/recordings.py [FOLDER...] [--only NAME]`.
 
-Each row is a window of a recording: the verdict, the promised heading sigma, the heading's RMS and
+Each row is a window of a recording: the verdict, the heading sigma, the heading's RMS and
 median against the truth, what five usual methods reach with the same samples and the same up, and
 what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
 the best of the five, chosen afterwards, and "to truth" over that of the twelve numbers that fit
-best where the truth is known: streets leave the rest to whoever calibrates. "Told" is to the best
+best where the truth is known: streets limit every calibration. "Told" is to the best
 of five what fits the same samples best if their true yaw is given: no calibration of a window knows
 as much. Headings are scored on the whole recording. With `--changed` other sensors have recorded
 the same drive (`changed_recordings.py`; `all` of them).
@@ -54,7 +54,7 @@ class Line:
     others: tuple[float, ...]
     floor: Score | None
     by_truth: Score | None = None
-    told: Score | None = None
+    reported: Score | None = None
 
     @property
     def answered(self) -> bool:
@@ -79,7 +79,7 @@ class Line:
     def is_wrong(self) -> bool:
         """Whether there was a result, and the error is far beyond its sigma.
 
-        A truth has errors of its own, of which the floor tells.
+        A truth has errors of its own, which the floor shows.
         """
         if not self.answered or self.ours is None:
             return False
@@ -153,20 +153,22 @@ def fitted(
     if isinstance(window, MagcalError):
         return Line(drive.name, name, 0.0, "-", str(window), math.nan, None, (), floor)
     outcome = outcome or outcome_of(window, drive)
-    sigma, ours, by_truth, told = math.nan, None, None, None
+    sigma, ours, by_truth, reported = math.nan, None, None, None
     if outcome.estimate is not None:
         sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
         correction = outcome.estimate.correction
         ours = scored(drive, correction)
         by_truth = scored(drive, told_by_truth(drive, correction))
         span = float(window.time[0]), float(window.time[-1])
-        told = scored(drive, told_by_truth(drive, correction, span))
+        reported = scored(drive, told_by_truth(drive, correction, span))
     headings = peers(window)
     scores = [drive.score(heading) if heading else None for heading in map(headings.get, PEERS)]
     others = tuple(score.rms if score else math.nan for score in scores)
     seconds = float(np.ptp(window.time))
     grade, why = graded(outcome), outcome.verdict.summary
-    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor, by_truth, told)
+    return Line(
+        drive.name, name, seconds, grade, why, sigma, ours, others, floor, by_truth, reported
+    )
 
 
 def scored(drive: Drive, correction: Correction | None) -> Score | None:
@@ -204,7 +206,7 @@ def row(line: Line) -> str:
         number(line.floor.rms if line.floor else math.nan, 7),
         number(line.ratio, 8),
     ]
-    numbers += [number(line.to_best(line.told), 7), number(line.to_truth, 9)]
+    numbers += [number(line.to_best(line.reported), 7), number(line.to_truth, 9)]
     start = f"{line.name:28s}{line.window:8s}{line.seconds:5.0f} {line.grade:10s}"
     wrong = "  WRONG" if line.is_wrong else ""
     return start + number(line.sigma, 6) + "".join(numbers) + wrong
@@ -224,7 +226,7 @@ def summary(lines: list[Line]) -> str:
         clean = sum(line.grade != Grade.WARN.value for line in answered)
         good = sum(line.ratio <= AS_GOOD for line in answered)
         to_best = mean_of([line.ratio for line in answered])
-        told = mean_of([line.to_best(line.told) for line in answered])
+        reported = mean_of([line.to_best(line.reported) for line in answered])
         to_truth = mean_of([line.to_truth for line in answered])
         wrong = sum(line.is_wrong for line in answered)
         beyond = [line.beyond_floor for line in answered if line.name.startswith("car")]
@@ -232,8 +234,8 @@ def summary(lines: list[Line]) -> str:
         text.append(
             f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
             f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio"
-            f" {to_best:.2f} ({told:.2f} if the samples' true yaw were given; to what the whole"
-            f" truth tells {to_truth:.2f}), error of cars beyond the gyro's {most:.1f} sigma at"
+            f" {to_best:.2f} ({reported:.2f} if the samples' true yaw were given; to what the whole"
+            f" truth shows {to_truth:.2f}), error of cars beyond the gyro's {most:.1f} sigma at"
             f" most, its square {square:.2f} on the mean, wrong {wrong}"
         )
     return "\n".join(text)

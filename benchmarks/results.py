@@ -1,7 +1,7 @@
 """Compares `results.json` with a fresh run: `python benchmarks/results.py [TABLE ...] [--write]`.
 
 `results.json` holds every table of doc/measured: the commands that print it, the commit and the
-seeds that it was measured with (null where nobody noted them), columns and rows. `make docs`
+seeds that it was measured with (null if unknown), columns and rows. `make docs`
 writes the pages from it. A table with an entry `printed` can be compared: the entry says how each
 row's name begins in what the commands print, and which of the words after it a cell is made of.
 Columns of `times` differ from run to run and are shown, not judged. Without a table the names of

@@ -65,11 +65,11 @@ def some_fence(seed: int) -> Fence:
     return Fence((12e-6 * math.cos(way), 12e-6 * math.sin(way), 0.0), heading)
 
 
-def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveReplay:
-    return replay_drive(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
+def reported(drive: Drive, initial: Calibration | None, speed: bool = True) -> DriveReplay:
+    return replay_drive(BOSTON, initial, drive._sensors(), drive.speeds if speed else ())
 
 
-class Heard(SelfCalibration):
+class RecordedResults(SelfCalibration):
     """Makes no decision, and keeps the results, for several decisions."""
 
     def __init__(self) -> None:
@@ -80,10 +80,10 @@ class Heard(SelfCalibration):
         self.rows.append((pair, speed))
         return False
 
-    def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
+    def decide(self, initial: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
         """Return the node's decisions with their seconds, and the calibration at the end."""
-        machine, now, made = SelfCalibration(Mode.APPLY), begun, []
-        machine.put_in_force(begun)
+        machine, now, made = SelfCalibration(Mode.APPLY), initial, []
+        machine.put_in_force(initial)
         for row in self.rows:
             if machine.add(*row):
                 for decision in machine.note(examine_drive(machine.job(BOSTON))):
@@ -94,8 +94,8 @@ class Heard(SelfCalibration):
         return made, now
 
 
-def heard(drive: Drive) -> Heard:
-    taken = Heard()
+def received(drive: Drive) -> RecordedResults:
+    taken = RecordedResults()
     replay_drive(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
 
@@ -134,19 +134,19 @@ def changes(replay: DriveReplay) -> Iterator[tuple[float, Calibration]]:
 def bench_fit(seeds: range) -> None:
     """One fit of the smoother to the first minutes, nothing known before."""
     for seconds in (120.0, 200.0, 300.0, 420.0):
-        errors, said, took = [], [], []
+        errors, stated, took = [], [], []
         for seed in seeds:
             drive = drive_of(seed, seconds)
             window = Window(drive.time, drive.field, drive.force, drive.rate)
-            begun = time.process_time()
+            started = time.process_time()
             found = fitted(window, BOSTON)
-            took.append(time.process_time() - begun)
+            took.append(time.process_time() - started)
             errors.append(error(found.posterior.correction, drive, 0.0))
-            said.append(math.degrees(found.posterior.heading_sigma))
-        squares = (np.array(errors) / np.array(said)) ** 2
+            stated.append(math.degrees(found.posterior.heading_sigma))
+        squares = (np.array(errors) / np.array(stated)) ** 2
         print(
             f"fit to {seconds:3.0f} s, no speed: rms {rms(errors):.2f} median"
-            f" {np.median(errors):.2f} worst {max(errors):.1f}, said {rms(said):.2f}, NEES mean"
+            f" {np.median(errors):.2f} worst {max(errors):.1f}, said {rms(stated):.2f}, NEES mean"
             f" {squares.mean():.2f} median {np.median(squares):.2f}, CPU {np.median(took):.2f} s"
         )
 
@@ -154,7 +154,7 @@ def bench_fit(seeds: range) -> None:
 def bench_circles(seeds: range) -> None:
     """90 s of circles in one place, nothing known before; the last with a poor gyro and a rest."""
     for radius, biased in ((4.0, False), (8.0, False), (14.0, False), (8.0, True)):
-        errors, said = [], []
+        errors, stated = [], []
         for seed in seeds:
             rest = standing(5.0) if biased else []
             drive = drive_of(seed, 90.0, joined(rest, circles(90.0, radius=radius)))
@@ -162,11 +162,11 @@ def bench_circles(seeds: range) -> None:
             taken = Window(drive.time, drive.field, drive.force, drive.rate + off)
             found = fitted(taken, BOSTON)
             errors.append(error(found.posterior.correction, drive, 0.0))
-            said.append(math.degrees(found.posterior.heading_sigma))
-        squares = (np.array(errors) / np.array(said)) ** 2
+            stated.append(math.degrees(found.posterior.heading_sigma))
+        squares = (np.array(errors) / np.array(stated)) ** 2
         print(
             f"circles of {radius:2.0f} m{', a poor gyro' if biased else ''}: rms {rms(errors):.2f}"
-            f" worst {max(errors):.1f}, said {rms(said):.2f}, NEES {squares.mean():.2f}"
+            f" worst {max(errors):.1f}, said {rms(stated):.2f}, NEES {squares.mean():.2f}"
         )
 
 
@@ -176,7 +176,7 @@ def bench_long(seeds: range) -> None:
     for turns in (False, True):
         for soft in (PAPER_SOFT_IRON, np.zeros((3, 3))):
             for seconds in (120.0, 600.0):
-                errors, said = [], []
+                errors, stated = [], []
                 robot = swaying_robot(soft)
                 for seed in seeds:
                     motion = swaying(seconds, turns=turns)
@@ -184,12 +184,12 @@ def bench_long(seeds: range) -> None:
                     found = fitted(window, known)
                     drive = replace(drive_of(0, 10.0), vehicle=Vehicle(robot))
                     errors.append(error(found.posterior.correction, drive, 0.0))
-                    said.append(math.degrees(found.posterior.heading_sigma))
-                squares = (np.array(errors) / np.array(said)) ** 2
+                    stated.append(math.degrees(found.posterior.heading_sigma))
+                squares = (np.array(errors) / np.array(stated)) ** 2
                 name = f"{'mid' if turns else 'low'}, {'soft iron' if soft.any() else 'none'}"
                 print(
                     f"weak motion ({name}) {seconds:3.0f} s: rms {rms(errors):.2f}, said"
-                    f" {rms(said):.2f}, NEES {squares.mean():.2f}"
+                    f" {rms(stated):.2f}, NEES {squares.mean():.2f}"
                 )
 
 
@@ -199,7 +199,7 @@ def bench_begin(seeds: range) -> None:
         first, late, missing = [], [], 0
         for seed in seeds:
             drive = drive_of(seed, 420.0)
-            found = list(changes(told(drive, None, speed)))
+            found = list(changes(reported(drive, None, speed)))
             missing += not found
             if found:
                 first.append(found[0][0])
@@ -218,8 +218,8 @@ def bench_jump(seeds: range) -> None:
         angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
         iron = (10e-6 * math.cos(angle), 10e-6 * math.sin(angle), 0.0)
         drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
-        begun = calibration_of(drive.vehicle.robot.true_correction)
-        replay = told(drive, begun)
+        initial = calibration_of(drive.vehicle.robot.true_correction)
+        replay = reported(drive, initial)
         seen = [
             at for at, m in replay.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
         ]
@@ -247,14 +247,14 @@ def bench_good(seeds: range) -> None:
     changed, noticed = dict.fromkeys(gains, 0), dict.fromkeys(gains, 0)
     for seed in seeds:
         drive = drive_of(seed, 420.0)
-        taken = heard(drive)
+        taken = received(drive)
         for off in gains:
             way = np.random.default_rng(seed + 5).normal(0.0, 1.0, 2)
             way *= math.radians(off) * math.sqrt(2.0) * LEVEL / float(np.linalg.norm(way))
-            begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
-            made, last_calibration = taken.decide(calibration_of(begun))
+            initial = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
+            made, last_calibration = taken.decide(calibration_of(initial))
             gains[off].append(
-                error(begun, drive, 0.0) - error(last_calibration.correction, drive, 420.0)
+                error(initial, drive, 0.0) - error(last_calibration.correction, drive, 420.0)
             )
             changed[off] += any(each.calibration is not None for _, each in made)
             noticed[off] += any(each.kind is DecisionKind.NOTICED for _, each in made)
@@ -262,7 +262,7 @@ def bench_good(seeds: range) -> None:
         worse = sum(gain < -WORSE for gain in gained)
         print(
             f"in force and off by {off:.0f}°: changed {changed[off]} of {len(seeds)}, made worse by"
-            f" more than {WORSE}°: {worse}; told of a change: {noticed[off]}; mean gain"
+            f" more than {WORSE}°: {worse}; reported a change: {noticed[off]}; mean gain"
             f" {np.mean(gained):+.2f}°"
         )
 
@@ -287,14 +287,14 @@ def bench_traps(seeds: range) -> None:
         left, changed, noticed, worse = [], 0, 0, 0
         for seed in seeds:
             drive = make(seed)
-            replay = told(drive, calibration_of(drive.vehicle.robot.true_correction))
+            replay = reported(drive, calibration_of(drive.vehicle.robot.true_correction))
             changed += any(True for _ in changes(replay))
             noticed += any(made.kind is DecisionKind.NOTICED for _, made in replay.decisions)
             assert replay.last_calibration is not None
             left.append(error(replay.last_calibration.correction, drive, float(np.ptp(drive.time))))
             worse += left[-1] > WORSE
         print(
-            f"{name}: changed {changed} of {len(seeds)}, told of a change {noticed}; at the end"
+            f"{name}: changed {changed} of {len(seeds)}, reported a change {noticed}; at the end"
             f" {worse} worse by more than {WORSE}°, rms {rms(left):.2f}"
         )
 

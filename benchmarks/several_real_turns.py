@@ -135,17 +135,17 @@ def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) 
 
 def row(name: str, runs: Sequence[Run | None]) -> str:
     """Return a line of the table."""
-    told = [each for each in runs if each is not None]
+    reported = [each for each in runs if each is not None]
 
     def rms(figure: str) -> float:
-        return math.degrees(math.sqrt(np.mean([getattr(each, figure) for each in told])))
+        return math.degrees(math.sqrt(np.mean([getattr(each, figure) for each in reported])))
 
-    absolute = np.mean([each.absolute / each.sigma for each in told])
-    relative = np.mean([each.relative / each.sigma_relative for each in told])
+    absolute = np.mean([each.absolute / each.sigma for each in reported])
+    relative = np.mean([each.relative / each.sigma_relative for each in reported])
     return (
         f"| {name:14} | {rms('absolute'):.2f}, {rms('sigma'):.2f}, {absolute:.2f} "
         f"| {rms('relative'):.2f}, {rms('sigma_relative'):.2f}, {relative:.2f} "
-        f"| {len(runs) - len(told)} | {np.median([each.seconds for each in told]):.1f} |"
+        f"| {len(runs) - len(reported)} | {np.median([each.seconds for each in reported]):.1f} |"
     )
 
 

@@ -59,8 +59,8 @@ def small_circle(radius: float, course: Course | None = None) -> Scenes:
         scene = SENSORS["typical"](rng, scene)
         rate = scene.motion.angular_rate[:, 2]
         across = np.array([-direction(rng)[1], 1.0, 0.0])
-        pull = np.outer(radius * rate**2, across / np.linalg.norm(across))
-        return replace(with_force(scene, pull), has_course=course is not None), known
+        acceleration = np.outer(radius * rate**2, across / np.linalg.norm(across))
+        return replace(with_force(scene, acceleration), has_course=course is not None), known
 
     return case
 
@@ -95,7 +95,7 @@ def shifting(size: float) -> Scenes:
 
 
 def swaying(height: float) -> Scenes:
-    """Return turns of a robot in a field nobody knows, with its IMU so many metres up (no gyro).
+    """Return turns of a robot in an unknown field, with its IMU so many metres up (no gyro).
 
     Its sway shakes the accelerometer in proportion to the lean.
     """
@@ -111,8 +111,8 @@ def swaying(height: float) -> Scenes:
         shaken = np.gradient(moved, motion.time, axis=0)
         shaken[:3], shaken[-3:] = shaken[3], shaken[-4]
         window = measure(scene.robot, motion, rng)
-        pull = np.einsum("nij,nj->ni", motion.attitude, shaken)
-        return with_force(Scene(scene.robot, motion, window), pull), Knowledge()
+        acceleration = np.einsum("nij,nj->ni", motion.attitude, shaken)
+        return with_force(Scene(scene.robot, motion, window), acceleration), Knowledge()
 
     return case
 

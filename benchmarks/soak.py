@@ -141,9 +141,9 @@ def _live(
     actor: Rehearsal, pid: int, hours: float, marks: int, tell: Callable[[Mark], None]
 ) -> list[Mark]:
     feeder, found = Feeder(actor), list[Mark]()
-    begun, part = actor.ride.stamp, 3600.0 * hours / marks
+    start, part = actor.ride.stamp, 3600.0 * hours / marks
     for number in range(marks + 1):
-        while actor.ride.stamp - begun < number * part:
+        while actor.ride.stamp - start < number * part:
             feeder.step()
         calibrated = feeder.calibrate()
         actor.yaws.clear()
@@ -152,7 +152,7 @@ def _live(
         seen = math.atan2(sum(map(math.sin, actor.yaws)), sum(map(math.cos, actor.yaws)))
         error = float(wrap_angle(seen - actor.ride.magnetic_yaw))
         done = (found[-1].calibrations if found else 0) + calibrated
-        lived = (actor.ride.stamp - begun) / 3600.0
+        lived = (actor.ride.stamp - start) / 3600.0
         held = handles_and_threads(pid)
         mark = Mark(lived, feeder.sent, feeder.lost, done, resident_mb(pid), *held, error)
         found.append(mark)
@@ -202,9 +202,9 @@ def main() -> int:
     arguments = parser.parse_args()
     rclpy.init()
     print("   hours    messages    lost  calibrations  resident MB  handles  threads  yaw error°")
-    begun = time.monotonic()
+    start = time.monotonic()
     marks = soak(arguments.hours, max(2, round(arguments.hours)), print_mark, arguments.rate)
-    took = time.monotonic() - begun
+    took = time.monotonic() - start
     print(f"{marks[-1].messages / took:.0f} messages a second")
     for words in (wrong := faults(marks)):
         print(words)

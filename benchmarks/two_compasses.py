@@ -275,7 +275,7 @@ def run(drives: int, first: int = 0) -> Iterator[tuple[str, list[Score], list[li
     readings = [(w.reading(0, ROBOTS[0]), w.reading(1, ROBOTS[1])) for w in worlds]
     alone: dict[tuple[int, int], tuple[FloatArray, Score]] = {}
 
-    def heard(world: World, fields: Fields, numbers: tuple[int, ...]) -> Score:
+    def received(world: World, fields: Fields, numbers: tuple[int, ...]) -> Score:
         drawn = calibrations(np.random.default_rng((world.seed, 9)))
         listener = Listener({number: drawn[number] for number in numbers})
         listener.hear(world.drive, fields)
@@ -284,12 +284,12 @@ def run(drives: int, first: int = 0) -> Iterator[tuple[str, list[Score], list[li
     def heard_alone(world: World, fields: Fields, number: int) -> Score:
         key = world.seed, number
         if key not in alone or alone[key][0] is not fields[number]:
-            alone[key] = fields[number], heard(world, fields, (number,))
+            alone[key] = fields[number], received(world, fields, (number,))
         return alone[key][1]
 
     for name, fault in CASES:
         cases = [(w, fault(fields, w)) for w, fields in zip(worlds, readings, strict=True)]
-        both = [heard(w, fields, (0, 1)) for w, fields in cases]
+        both = [received(w, fields, (0, 1)) for w, fields in cases]
         yield name, both, [[heard_alone(w, f, k) for w, f in cases] for k in (0, 1)]
 
 

@@ -74,11 +74,13 @@ def good_case(rng: np.random.Generator) -> tuple[Window, Knowledge]:
     motion = movement(rng, str(rng.choice([*MOTIONS, "slope"])))
     window = measure(robot, motion, rng, gyro=True, trouble=trouble)
     assert window.angular_rate is not None
-    pull = np.outer(window.angular_rate[:, 2] ** 2, [-rng.uniform(0.0, 0.3), 0.0, 0.0])
-    pull[:, 1] += window.angular_rate[:, 2] * rng.uniform(0.0, 5.0)
-    pulled = Window(window.time, window.field, window.specific_force + pull, window.angular_rate)
+    acceleration = np.outer(window.angular_rate[:, 2] ** 2, [-rng.uniform(0.0, 0.3), 0.0, 0.0])
+    acceleration[:, 1] += window.angular_rate[:, 2] * rng.uniform(0.0, 5.0)
+    accelerated = Window(
+        window.time, window.field, window.specific_force + acceleration, window.angular_rate
+    )
     known = robot.knowledge(2e-6, 2.0 * DEGREE).reference
-    return pulled, Knowledge(known) if rng.random() < 0.5 else Knowledge()
+    return accelerated, Knowledge(known) if rng.random() < 0.5 else Knowledge()
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:

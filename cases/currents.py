@@ -26,7 +26,7 @@ ELECTRONICS = 0.5
 """Amperes that a robot draws whatever its motors do: the field of these is hard iron."""
 LARGEST = 3.8
 """Amperes of the motors, without ripple, at the fastest of a turn."""
-LATE = 0.1  # seconds by which the battery tells its current late
+LATE = 0.1  # seconds by which the battery reports its current late
 
 SHAPES = {
     "hold": (1.0 / LARGEST, 1.0 / LARGEST, 0.0),
@@ -79,6 +79,6 @@ def turn_with_current(
     around = np.linspace(-gap, 0.0, 50) if are_means else np.zeros(1)
     moments = stamps[:, None] - LATE + around
     current = np.interp(moments, time, turning + holding + ELECTRONICS).mean(axis=1)
-    told = -current + rng.normal(0.0, 0.03, len(stamps))
-    battery = tuple(zip(stamps.tolist(), told.tolist(), strict=True))
+    reported = -current + rng.normal(0.0, 0.03, len(stamps))
+    battery = tuple(zip(stamps.tolist(), reported.tolist(), strict=True))
     return replace(scene, has_course=True), known, battery

@@ -242,8 +242,8 @@ def wrong_reference(rng: np.random.Generator, case: Case) -> Case:
 
 def centripetal(rng: np.random.Generator, case: Case) -> Case:
     rate, arm = case.motion.angular_rate, np.append(rng.uniform(-4, 4, 2), 0.0)
-    pull = np.cross(rate, np.cross(rate, arm))
-    force = case.window.specific_force + pull
+    acceleration = np.cross(rate, np.cross(rate, arm))
+    force = case.window.specific_force + acceleration
     window = replace(case.window, specific_force=force)
     return replace(case, window=window, hidden=is_blind(case))
 
@@ -300,14 +300,14 @@ class Row:
 
     def run(self, case: Case, name: str) -> None:
         self.runs += 1
-        begun = time.perf_counter()
+        start = time.perf_counter()
         try:
             outcome = calibrate(case.window, case.knowledge)
         except Exception as problem:
             self.broken += 1
             print(f"broken: {name}: {problem!r}")
             return
-        self.slowest = max(self.slowest, time.perf_counter() - begun)
+        self.slowest = max(self.slowest, time.perf_counter() - start)
         self.count(case, outcome, name)
 
     def count(self, case: Case, outcome: Outcome, name: str) -> None:

@@ -33,7 +33,7 @@ from magcal_ros.core.up.follower import UpFollower, propagated_up
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 PLACES = (("Boston", 51.3, 66.3), ("Northeastern", 51.3, 66.3), ("BROAD", 44.3, 69.6))
-"""Words of a README that tell where a recording was made: µT and degrees of dip."""
+"""Words of a README that give the place of a recording: µT and degrees of dip."""
 TURNING_RATE = math.radians(5.0)
 TURNING_MEAN = 10.0
 """A robot circles where its rate, averaged over so many seconds, is larger."""
@@ -199,13 +199,13 @@ def windows(drive: Drive) -> Iterator[tuple[str, Window | MagcalError]]:
 def asked_on_the_way(drive: Drive, every: float) -> Iterator[tuple[str, Window | MagcalError]]:
     """Yield the windows of the node in repeated turns, with seconds from the start."""
     stamps = np.array([pair.field.stamp for pair in drive.pairs])
-    up, heard = UpFollower(), 0
+    up, received = UpFollower(), 0
     for moment in np.arange(0.0, float(np.ptp(stamps)) if len(stamps) else 0.0, every):
         first = int(np.searchsorted(stamps, stamps[0] + moment))
-        for pair in drive.pairs[heard:first]:
+        for pair in drive.pairs[received:first]:
             up.add(pair.imu)
             up.add_field(pair.field.stamp, pair.field.field)
-        heard = first
+        received = first
         yield "asked", _live_window(drive.pairs[first:], drive.knowledge, up.gyro_at_rest)
 
 
@@ -253,9 +253,9 @@ def _live_window(
     """Return the window of a calibration that starts with the first of the samples."""
     if not pairs:
         return _session_window([])
-    begun = pairs[0].field.stamp
-    session = Session(Limits(), knowledge.mounting, begun, gyro)
-    look = preview = begun
+    start = pairs[0].field.stamp
+    session = Session(Limits(), knowledge.mounting, start, gyro)
+    look = preview = start
     for pair in pairs:
         now = pair.field.stamp
         session.add(pair, now)

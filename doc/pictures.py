@@ -55,7 +55,7 @@ WORDS = "words"
 BELOW = 12
 """Pixels that stay under the last line."""
 COLOURS = 256
-"""Of each picture: it is small, and nobody sees the others."""
+"""Number of colours of a picture, which keeps the file small."""
 TERMINAL = (
     "<meta charset='utf-8'><style>body {margin: 0} pre {font: 13px/1.3 'DejaVu Sans Mono', "
     "monospace; color: #eee; background: #222; padding: 10px; margin: 0}</style>"

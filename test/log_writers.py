@@ -68,8 +68,8 @@ def ardupilot_rows(
     `unhealthy` says of a compass's number and a stamp whether its Health is 0.
     """
     matrix = np.eye(3) if matrix is None else matrix
-    begun = min(sample.stamp for sample in samples)
-    first = begun if first is None else first
+    started = min(sample.stamp for sample in samples)
+    first = started if first is None else first
 
     def at(stamp):
         return BOOT_US + round((stamp - first) * 1e6)
@@ -79,11 +79,11 @@ def ardupilot_rows(
     pairs = zip("XYZ", ((0, 1), (0, 2), (1, 2)), strict=True)
     named += [(f"COMPASS_ODI{slot}_{a}", matrix[k]) for a, k in pairs]
     named += [(f"COMPASS_SCALE{slot}", scale), *dict(parameters).items()]
-    yield from (("PARM", (at(begun), name, float(value))) for name, value in named)
+    yield from (("PARM", (at(started), name, float(value))) for name, value in named)
     if lane is not None:
         for number, compass in ((lane[0], lane[1]), (1 - lane[0], 1 - lane[1])):
-            yield "XKFS", (at(begun), number, compass, 0, 0, 0)
-            yield "XKF4", (at(begun), number, lane[0])
+            yield "XKFS", (at(started), number, compass, 0, 0, 0)
+            yield "XKF4", (at(started), number, lane[0])
     for fix in fixes:  # stamp, latitude, longitude, speed, course (deg)
         stamp, latitude, longitude, speed, course = fix
         gms = round((stamp - first) * 1e3) + 100_000

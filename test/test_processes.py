@@ -60,10 +60,10 @@ PATHS = ("", os.pathsep, f"/nowhere{os.pathsep}", f".{os.pathsep}/nowhere")
 def test_processes_of_the_package_run_nothing_in_the_current_folder(trap, monkeypatch, path):
     monkeypatch.setenv("PYTHONPATH", path)
     process = processes.start("magcal_ros.cli.main", "--version", stdout=subprocess.PIPE)
-    said, _ = process.communicate()
+    printed, _ = process.communicate()
     assert trap() == ""
     assert process.returncode == 0
-    assert said.startswith(b"magcal_ros ")
+    assert printed.startswith(b"magcal_ros ")
 
 
 FIRST_WORDS = {"magcal": ["--version"], "calibrator": ["--ros-args", "--unknown-option"]}

@@ -320,7 +320,7 @@ def simulated_drive(
         bent,
         irons,
         () if wheels is None else wheels.speeds(truth, rng),
-        *(((), ()) if receiver is None else receiver.heard(truth, rng)),
+        *(((), ()) if receiver is None else receiver.received(truth, rng)),
     )
 
 

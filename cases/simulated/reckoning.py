@@ -77,7 +77,7 @@ class Receiver:
     noise : float
         Metres per axis that differ from fix to fix.
     speed_noise : float
-        m/s per axis of its velocity; zero for a receiver that tells none.
+        m/s per axis of its velocity; zero for a receiver that reports none.
     multipath : float
         Chance per second that houses bend its fixes by metres, for some seconds.
     bend : float
@@ -96,10 +96,10 @@ class Receiver:
     bend: float = 6.0
     outages: tuple[tuple[float, float], ...] = ()
 
-    def heard(
+    def received(
         self, truth: Travel, rng: np.random.Generator
     ) -> tuple[tuple[PositionSample, ...], tuple[VelocitySample, ...]]:
-        """Return the fixes of a drive, and the velocities where it tells them."""
+        """Return the fixes of a drive, and the velocities where it reports them."""
         stamps = np.arange(truth.time[0] + 0.37, truth.time[-1], 1.0 / self.rate)
         moments = stamps - self.delay
         place = interpolated(moments, truth.time, truth.position)

@@ -174,17 +174,17 @@ def run_drive(options: argparse.Namespace) -> int:
     ~/accept. A map shows where the field is disturbed. Exit status: 0 a calibration is in force at
     the end, 2 usage, 3 no calibration is in force, 5 file trouble.
     """
-    begun = None if options.calibration is None else read_calibration(options.calibration)[0]
+    initial = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = common.new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
-        reference = common.reference_in_use(options, source.place, source.begun)
+        reference = common.reference_in_use(options, source.place, source.first_stamp)
         knowledge = Knowledge(reference.field, recorded.mounting_from(options))
-        repaired = RepairedReadings(source, for_drive=True, known=begun)
+        repaired = RepairedReadings(source, for_drive=True, known=initial)
         travel = source.travel
         with recorded.with_progress(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
-            replay = replay_drive(knowledge, begun, repaired, travel)
+            replay = replay_drive(knowledge, initial, repaired, travel)
             if replay.last_calibration is None:
                 collector = SampleCollector(
                     knowledge.mounting, source.imu_topic, source.field_topic
@@ -200,7 +200,7 @@ def run_drive(options: argparse.Namespace) -> int:
             replay = replace(replay, course="" if course is None else course.words)
     page = write_drive_page(folder, replay, printable(str(options.recording)))
     files = [page]
-    if replay.last_calibration is not None and replay.last_calibration is not begun:
+    if replay.last_calibration is not None and replay.last_calibration is not initial:
         files.append(folder / common.CALIBRATION)
         write_calibration(files[-1], replay.last_calibration, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))

@@ -86,9 +86,9 @@ class DoctorInput:
     def report_of(self, log: SensorLog) -> SensorReport:
         """Return all findings, also from the comparison with course and description."""
         report = examine(log, self.knowledge, self.turned_left)
-        said = [f.remedy for f in report.findings if f.remedy]
+        given = [f.remedy for f in report.findings if f.remedy]
         # A complaint that a line of the report contains already is left out.
-        more = [f for f in self.more if not any(words in f.evidence for words in said)]
+        more = [f for f in self.more if not any(words in f.evidence for words in given)]
         report = report.with_more(more)
         if self.travel and report.used is not None:
             course = recorded_course(report.used.compass, self.samples, self.travel)

@@ -156,13 +156,13 @@ def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     On a terminal, one line is redrawn and removed at the end. Elsewhere, new lines are printed
     every few seconds, so that a short operation prints nothing.
     """
-    is_terminal, begun, done = out.isatty(), time.monotonic(), threading.Event()
+    is_terminal, started, done = out.isatty(), time.monotonic(), threading.Event()
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 
     def tell() -> None:
         printed = ""
         while not done.wait(pause):
-            seconds, now = time.monotonic() - begun, words()
+            seconds, now = time.monotonic() - started, words()
             if is_terminal or now != printed:
                 print(f"{begin}{now}: {seconds:.0f} s", end=end, file=out, flush=True)
             printed = now
@@ -174,7 +174,7 @@ def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     finally:
         done.set()
         teller.join()
-        if is_terminal and time.monotonic() - begun > pause:
+        if is_terminal and time.monotonic() - started > pause:
             print("\r\x1b[K", end="", file=out, flush=True)
 
 

@@ -75,10 +75,10 @@ def read_ardupilot(
     path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
     """Read a DataFlash or telemetry log; arguments and errors are those of `open_recording`."""
-    begun = logs.first_bytes(path, 8000)
+    head = logs.first_bytes(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
-    is_text = path.suffix.lower() == ".log" and b"FMT," in begun
-    if not (telemetry or is_text or begun[:2] == BINARY):
+    is_text = path.suffix.lower() == ".log" and b"FMT," in head
+    if not (telemetry or is_text or head[:2] == BINARY):
         raise FileError(
             f"{printable(str(path))} is not a DataFlash log: its first bytes are not those of one"
         )
@@ -87,7 +87,7 @@ def read_ardupilot(
         if telemetry:
             tables = _tables(_telemetry(path, deadline), TRANSMITTED)
         else:
-            tables = _tables(read_dataflash(path, begun, deadline), LOGGED)
+            tables = _tables(read_dataflash(path, head, deadline), LOGGED)
         deadline.report(1.0)
     return tables.recording(path, imu, mag)
 

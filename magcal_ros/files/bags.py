@@ -111,7 +111,7 @@ class Bag:
         return self._read([*self._imu, *self._field], take)
 
     @property
-    def begun(self) -> float:
+    def first_stamp(self) -> float:
         """Time of recording at which the span begins, seconds."""
         return self._first * 1e-9
 
@@ -127,24 +127,24 @@ class Bag:
 
     @cached_property
     def _journey(self) -> tuple[tuple[TravelSample, ...], Place | None]:
-        heard = self._of(FIX_TYPE, ODOM_TYPE)
+        chosen = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, TWIST_COVARIANCE_TYPE)
-            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
+            chosen += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
 
         def take(connection: Connection, _: int, data: bytes) -> Any:
             return TRAVEL[connection.msgtype](self._format, data)
 
         # A message without a fix, speed or velocity gives the reason as text instead.
-        found = self._read(heard, take)
+        found = self._read(chosen, take)
         return travel_of(each for each in found if not isinstance(each, str))
 
     @cached_property
     def currents(self) -> list[tuple[float, float]]:
         """Stamps, seconds, and currents of the battery, A; empty if there is none."""
-        heard = self._of(BATTERY_TYPE)
+        chosen = self._of(BATTERY_TYPE)
         # With several batteries, the total current is not known.
-        if len({c.topic for c in heard}) != 1:
+        if len({c.topic for c in chosen}) != 1:
             return []
 
         def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
@@ -156,15 +156,15 @@ class Bag:
             # Drivers of batteries often leave the stamp at zero.
             return stamp or received * 1e-9, current
 
-        return sorted(self._read(heard, take))
+        return sorted(self._read(chosen, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, sorted by stamp.
 
         FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
-        heard = _named(self._path, self._reader, IMU_TYPE, topic)
-        read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
+        chosen = _named(self._path, self._reader, IMU_TYPE, topic)
+        read = list(self._read(chosen, lambda _, __, data: self._format.heading(data)))
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
@@ -176,14 +176,14 @@ class Bag:
         return [c for c in self._reader.connections if c.msgtype in kinds and c.msgcount]
 
     def _read(
-        self, heard: list[Connection], take: Callable[[Connection, int, bytes], T]
+        self, chosen: list[Connection], take: Callable[[Connection, int, bytes], T]
     ) -> Iterator[T]:
         """Yield `take(connection, time of recording in ns, bytes)` of each message in the span."""
         reader = self._reader
-        if not heard:
+        if not chosen:
             return  # the library rosbags would read all connections
         with _damage_in_words(self._path):
-            for connection, received, data in reader.messages(heard, self._first, self._end):
+            for connection, received, data in reader.messages(chosen, self._first, self._end):
                 if reader.is2 and not is_plain_cdr(data):
                     # The library converts big-endian messages.
                     kind, store = connection.msgtype, reader.typestore

@@ -58,10 +58,10 @@ def flat_arrays() -> dict[str, array[float]]:
     return defaultdict(lambda: array("d"))
 
 
-def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFlash:
-    """Read a log; `begun` are its first bytes."""
+def read_dataflash(path: Path, head: bytes, deadline: logs.Deadline) -> DataFlash:
+    """Read a log; `head` are its first bytes."""
     library = logs.library(path, "pymavlink.DFReader", "ardupilot")
-    is_binary = begun[:2] == BINARY
+    is_binary = head[:2] == BINARY
     kind: Any = library.DFReader_binary if is_binary else library.DFReader_text
 
     def recv_msg(reader: Any) -> Any:

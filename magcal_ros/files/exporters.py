@@ -97,10 +97,10 @@ def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
 def provenance(calibration: Calibration) -> str:
     """Return the origin of the numbers in one line."""
     evidence = calibration.evidence
-    said = evidence.method, evidence.quality, evidence.confidence
+    texts = evidence.method, evidence.quality, evidence.confidence
     # Texts of a file edited by hand must not end the comment that they become part of.
     return "Magnetometer calibration by magcal_ros, method {}, quality {}, confidence {}".format(
-        *(printable(text.replace("*/", "* /")) for text in said)
+        *(printable(text.replace("*/", "* /")) for text in texts)
     )
 
 

@@ -111,10 +111,10 @@ class Sensors:
             )
         chosen = next(k for k in numbers if k not in faults)
         if len(numbers) > 1:
-            told = f" ({'; '.join(faults.values())})" if faults else ""
+            why = f" ({'; '.join(faults.values())})" if faults else ""
             reason = f", {self.reason}" if self.reason and chosen == self.order[0] else ""
             notes.append(
-                f"the log has {every}{told}: {self.called(chosen)} is used{reason}; choose another "
+                f"the log has {every}{why}: {self.called(chosen)} is used{reason}; choose another "
                 f"with {option}"
             )
         if left_out := self.unhealthy.get(chosen, 0):
@@ -220,7 +220,7 @@ def first_bytes(path: Path, count: int) -> bytes:
         with open_regular(path) as handle:
             size = handle.seek(0, io.SEEK_END)
             handle.seek(0)
-            begun = handle.read(count)
+            head = handle.read(count)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"cannot read {printable(str(path))}: {reason}") from error
@@ -231,17 +231,17 @@ def first_bytes(path: Path, count: int) -> bytes:
             f"{printable(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
             f"{LARGEST_LOG / GIGABYTE:g} GiB are read: record the turn in a log of its own"
         )
-    return begun
+    return head
 
 
 @contextlib.contextmanager
 def without_output(path: Path, deadline: Deadline) -> Iterator[None]:
     """Discard the output of a library, and raise its errors as `FileError`."""
-    heard = _DiscardedOutput(deadline)
+    output = _DiscardedOutput(deadline)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),
-        contextlib.redirect_stdout(heard),
-        contextlib.redirect_stderr(heard),
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(output),
     ):
         yield
 

@@ -152,8 +152,8 @@ def _points_down(path: Path, headers: dict[str, list[str]]) -> bool:
     cells = lines[1].split(",") if len(lines) > 1 else []
     if len(cells) != len(header):
         return False
-    said = dict(zip(header, cells, strict=True))
-    return said["platform"].lower() == "ios" and said["standardisation"].lower() != "true"
+    columns = dict(zip(header, cells, strict=True))
+    return columns["platform"].lower() == "ios" and columns["standardisation"].lower() != "true"
 
 
 def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) -> Sensors:

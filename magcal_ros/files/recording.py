@@ -65,7 +65,7 @@ class Recording:
         return len(self.imu) + len(self.field)
 
     @property
-    def begun(self) -> float:
+    def first_stamp(self) -> float:
         """The stamp of the first sample, seconds."""
         return float(self.imu[0, 0]) if len(self.imu) else 0.0
 
@@ -109,12 +109,12 @@ class Recording:
             part[:, 0] += shift
             parts.append(part)
         imu, field, yaw = parts
-        heard = tuple(
+        moved = tuple(
             each._replace(stamp=each.stamp + shift)
             for each in self.travel
             if start <= each.stamp - first < stop
         )
-        return replace(self, imu=imu, field=field, yaw=yaw, travel=heard)
+        return replace(self, imu=imu, field=field, yaw=yaw, travel=moved)
 
     def turned(self, pose: FloatArray) -> Recording:
         """Return the recording in the vehicle's axes; `pose` (3, 3) is that of the sensors."""
@@ -244,10 +244,10 @@ def _lines(handle: TextIO) -> Iterator[str]:
         yield line
 
 
-def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
+def travel_of(moved: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples sorted by stamp, and the place of the first good fix."""
     plane = LocalPlane()
-    samples = (plane.position(each) if isinstance(each, Fix) else each for each in heard)
+    samples = (plane.position(each) if isinstance(each, Fix) else each for each in moved)
     found = [sample for sample in samples if sample is not None]
     return tuple(sorted(found, key=lambda sample: sample.stamp)), plane.origin
 

@@ -126,18 +126,18 @@ class RepairedReadings:
 
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
-        begun = list(islice(readings, EXAMINED))
+        examined = list(islice(readings, EXAMINED))
         self.read = [0, 0]
-        stamps = _stamps(begun)
+        stamps = _stamps(examined)
         if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.field_topic}: {slow}")
         gap = _usual_gap(stamps[0])
         slow = slow_words(gap)
         if slow or not any(map(bursts_in_words, stamps)):
-            every = self._counted(chain(begun, readings))
+            every = self._counted(chain(examined, readings))
             yield from self._interpolated(every, gap, slow) if slow else every
             return
-        del readings, begun
+        del readings, examined
         stamps = _stamps(self._source.readings())
         even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)

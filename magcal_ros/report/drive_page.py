@@ -87,26 +87,26 @@ def summary_of(replay: DriveReplay) -> str:
     back = sum(made.kind is DecisionKind.ROLLED_BACK for _, made in replay.decisions)
     drove = f"{_duration(replay.seconds)} recorded, {_duration(replay.moved)} of movement"
     if changed:
-        said = "one calibration from driving was put in force"
+        result = "one calibration from driving was put in force"
         if len(changed) > 1:
-            said = f"{len(changed)} calibrations from driving were put in force"
-        said += f", and {back} taken back" if back else ""
+            result = f"{len(changed)} calibrations from driving were put in force"
+        result += f", and {back} taken back" if back else ""
     elif replay.fault:
-        said = (
+        result = (
             "no calibration was in force, and none was found; the sensors may be the cause: "
             f"{replay.fault}"
         )
     elif replay.first_calibration is None:
-        said = "no calibration was in force, and the drive was not sufficient for one"
+        result = "no calibration was in force, and the drive was not sufficient for one"
         waits = any(made.kind is DecisionKind.PROBATION for _, made in replay.decisions)
-        said += (
+        result += (
             " (a second calibration that agrees with the first was still missing)"
             if waits
             else " (that takes some minutes of driving, over half of all headings)"
         )
     else:
-        said = "the calibration in force was kept: no other was proved better"
-    words = f"{drove}: {said}." + ("" if replay.fault else f" At the end: {replay.state}.")
+        result = "the calibration in force was kept: no other was proved better"
+    words = f"{drove}: {result}." + ("" if replay.fault else f" At the end: {replay.state}.")
     if replay.last_calibration is not None:
         # Decisions and grades are on the sigma by the calibration; `magcal fit` prints both.
         heading = math.degrees(predicted_heading_sigma(replay.last_calibration))

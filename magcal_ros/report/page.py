@@ -304,16 +304,16 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
     level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
     where = (" on level ground (1σ)", " at 10° of tilt (1σ)")
-    said = [("heading error", level, tilted)]
+    errors = [("heading error", level, tilted)]
     if Figure.LOCAL_SIGMA in figures:
         own, own_tilted = (calibration_sigma(estimate, tilt) for tilt in (0.0, CHECKED_TILT))
-        said = [
+        errors = [
             ("heading error by the calibration,", own, own_tilted),
             ("heading error along the drive,", level, tilted),
         ]
     rows = [
         Row(words + place, f"±{sigma * DEGREES:.2f}°")
-        for words, *sigmas in said
+        for words, *sigmas in errors
         for place, sigma in zip(where, sigmas, strict=True)
     ]
     rows += [

@@ -40,7 +40,7 @@ class _Line:
 
     text: str = ""
     wrong: bool = False
-    said: str = ""  # logged last
+    logged: str = ""  # logged last
     at: float = -PAUSE  # time of the last log, seconds
 
 
@@ -77,14 +77,14 @@ class Announcer:
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
         self._wrong_since = {kind: self._wrong_since.get(kind, now) for kind in found}
-        said = self._complained_at
-        said = {kind: at for kind, at in said.items() if kind in found or now - at < PAUSE}
+        logged = self._complained_at
+        logged = {kind: at for kind, at in logged.items() if kind in found or now - at < PAUSE}
         for kind, since in self._wrong_since.items():
-            last = said.get(kind, -math.inf)
+            last = logged.get(kind, -math.inf)
             if last < since and now - last >= PAUSE and now - since >= self._lasting:
-                said[kind] = now
+                logged[kind] = now
                 self._log.warning(found[kind])
-        self._complained_at = said
+        self._complained_at = logged
 
     def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
         """Log the start of a turn, and the message of each new answer."""
@@ -97,8 +97,8 @@ class Announcer:
 
     def _say_if_due(self, line: _Line) -> None:
         now = self._clock()
-        if line.text != line.said and now - line.at >= PAUSE:
-            line.said, line.at = line.text, now
+        if line.text != line.logged and now - line.at >= PAUSE:
+            line.logged, line.at = line.text, now
             # rclpy refuses another severity from the same call.
             if line.wrong:
                 self._log.warning(line.text)
@@ -128,14 +128,14 @@ class CallbackErrors:
             place = f"{os.path.basename(innermost.f_code.co_filename)}, line {line}"
         kind = type(error), place
         words = " ".join(str(error).split())[:LONGEST]
-        said = f"an error in a callback, {kind[0].__name__} in {place}"
+        logged = f"an error in a callback, {kind[0].__name__} in {place}"
         # The error comes from rclpy's own callback of /clock.
         if any(frame.f_globals.get("__name__") == "rclpy.time_source" for frame, _ in calls):
-            said = "the simulated time on /clock jumped to a time that ROS cannot represent"
+            logged = "the simulated time on /clock jumped to a time that ROS cannot represent"
         if kind not in self._known:
             self._known.add(kind)
             self._log(
-                f"{said}: {words}. The node continues; further errors of this kind are only "
+                f"{logged}: {words}. The node continues; further errors of this kind are only "
                 "counted, in Inputs of /diagnostics"
             )
-        return said
+        return logged

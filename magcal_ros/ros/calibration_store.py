@@ -254,7 +254,7 @@ class CalibrationStore:
                     )
                 if frame in self._found:
                     self._found[frame] = found
-                # A chosen file is for any sensor, and the sensor may have been heard since.
+                # A chosen file is for any sensor, and the sensor may have published since.
                 if frame == self._frame or (chosen and not frame):
                     self._use_found(found)
             self._read_next()

@@ -168,12 +168,12 @@ def is_needed(line: int, silence: float, answer: Callable[[bytes], object]) -> b
 
     The node fails by `silence` seconds without a report or by closing the pipe.
     """
-    deadline, heard = math.inf, b""
+    deadline, rest = math.inf, b""
     while True:
         patience = max(0.0, deadline - time.monotonic()) if deadline < math.inf else None
         ready, _, _ = select.select([line], [], [], patience)
         words = os.read(line, 4096) if ready else b""
-        *lines, heard = (heard + words).split(b"\n")
+        *lines, rest = (rest + words).split(b"\n")
         for each in lines:
             if each == DISMISSED:
                 return False

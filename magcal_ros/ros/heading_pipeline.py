@@ -66,7 +66,7 @@ class Sensor:
         (then, before), (now, after) = self._counts[0], self._counts[-1]
         return (after - before) / max(now - then, 1e-9)
 
-    def heard(self, frame: str) -> bool:
+    def note_message(self, frame: str) -> bool:
         """Note a message; returns whether it is the first, or its frame has changed."""
         is_first = self.last_heard is None
         self.messages += 1

@@ -294,8 +294,8 @@ class KnownHeadings:
     def _fit(self) -> None:
         self._deadline = math.inf
         settings, follower = self._pipeline.current_settings(), self._pipeline.up
-        heard, self.antenna.collected = self.antenna.collected or [], None
-        given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
+        headings, self.antenna.collected = self.antenna.collected or [], None
+        given = self._given or external_heading.mean_heading(headings, settings.heading_is_true)
         view = self._pipeline.frames.view
         if given is None or view is None:
             self._conclude(False, f"the headings on {self.antenna.topic} stopped during the call")

@@ -156,7 +156,7 @@ class Magnetometer:
         except Unreadable:
             streams.field_drops[DropReason.UNREADABLE] += 1
             return
-        if self.inputs.field.heard(arrived.frame):
+        if self.inputs.field.note_message(arrived.frame):
             if self.out is None:
                 self.out = FieldOutput(self._node, self._topic)
             self.look_at_sensors()

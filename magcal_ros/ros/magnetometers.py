@@ -34,27 +34,27 @@ class Magnetometers:
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
         self._compasses = several
-        self.heard = [first]
+        self.active = [first]
         """The first magnetometer, and the further ones that have published, by number."""
 
     @property
     def others(self) -> list[Magnetometer]:
-        """The magnetometers in `heard` without the first."""
-        return self.heard[1:]
+        """The magnetometers in `active` without the first."""
+        return self.active[1:]
 
     def add(self, magnetometer: Magnetometer) -> None:
         """Note a magnetometer that publishes."""
-        if magnetometer not in self.heard:
-            self.heard = sorted([*self.heard, magnetometer], key=lambda each: each.number)
+        if magnetometer not in self.active:
+            self.active = sorted([*self.active, magnetometer], key=lambda each: each.number)
 
     def save(self, tell: Tell) -> None:
         """Save the calibrations in force."""
-        saving = [each for each in self.heard if each.store.calibration is not None]
-        ask_all({e.topic: e.store.save for e in saving or self.heard[:1]}, tell)
+        saving = [each for each in self.active if each.store.calibration is not None]
+        ask_all({e.topic: e.store.save for e in saving or self.active[:1]}, tell)
 
     def load(self, tell: Tell) -> None:
         """Put the calibrations in the files in force."""
-        ask_all({each.topic: each.store.load for each in self.heard}, tell)
+        ask_all({each.topic: each.store.load for each in self.active}, tell)
 
     def accept(
         self, proposal: Calibration | None, tell: Tell, say: Callable[[str], object]
@@ -64,8 +64,8 @@ class Magnetometers:
         `say` takes a line for the log on each of them.
         """
         asked: dict[str, Ask] = {}
-        for each in self.heard:
-            found = proposal if proposal is not None and each is self.heard[0] else each.acceptable
+        for each in self.active:
+            found = proposal if proposal is not None and each is self.active[0] else each.acceptable
             if found is not None:
                 asked[each.topic] = partial(_put_in_force, each, found, found is proposal, say)
         if self.state is not TurnState.IDLE:
@@ -77,7 +77,7 @@ class Magnetometers:
 
     def start(self, gyro: GyroAtRest | None) -> Conclusion:
         """Begin a turn of all magnetometers that publish."""
-        first = self.heard[0]
+        first = self.active[0]
         if self.state is not TurnState.IDLE and first.control.turn.state is TurnState.IDLE:
             words = f"already {self.state.value} the turn of another magnetometer: wait"
             return Conclusion(False, words)
@@ -88,7 +88,7 @@ class Magnetometers:
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
         """Update the magnetometers that publish, once a second."""
-        for each in self.heard:
+        for each in self.active:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
             if not settings.accumulate:
@@ -99,7 +99,7 @@ class Magnetometers:
         found = [text for each in self.others for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
-        topics = {each.number: each.topic for each in self.heard}
+        topics = {each.number: each.topic for each in self.active}
         weights = self._compasses.weights
         # A disturbance of all of them is not a fault of one.
         if not all(share.why for share in weights.values()):
@@ -121,7 +121,8 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
-        weights = {each.number: CompassWeight(0.0) for each in self.heard} | self._compasses.weights
+        none = {each.number: CompassWeight(0.0) for each in self.active}
+        weights = none | self._compasses.weights
         return [
             {
                 "topic": each.topic,
@@ -130,7 +131,7 @@ class Magnetometers:
                 "weight": round(weights[each.number].weight, 2),
                 "why": weights[each.number].why,
             }
-            for each in (self.heard if self.others else ())
+            for each in (self.active if self.others else ())
         ]
 
     def diagnostics(self) -> list[DiagnosticStatus]:
@@ -158,7 +159,7 @@ class Magnetometers:
 
     @property
     def _busy(self) -> list[Magnetometer]:
-        return [each for each in self.heard if each.control.turn.state is not TurnState.IDLE]
+        return [each for each in self.active if each.control.turn.state is not TurnState.IDLE]
 
     @property
     def state(self) -> TurnState:
@@ -170,14 +171,14 @@ class Magnetometers:
 
     def when_done(self, listener: Tell) -> None:
         """Call `listener` once with the common conclusion of the present turns."""
-        waiting = self._busy or self.heard[:1]
+        waiting = self._busy or self.active[:1]
         asked = {each.topic: each.control.when_done for each in waiting}
         ask_all(asked, listener, of_turns)
 
     def finish(self, tell: Tell) -> None:
         """End the collection, fit the samples so far, and answer with the common conclusion."""
         if self.state is TurnState.IDLE:
-            tell(self.heard[0].control.finish() or Conclusion(False, ""))
+            tell(self.active[0].control.finish() or Conclusion(False, ""))
             return
         self.when_done(tell)
         for each in self._busy:
@@ -186,16 +187,16 @@ class Magnetometers:
 
     def cancel(self) -> Conclusion:
         """Cancel the turns under way; the calibrations in force are kept."""
-        busy = self._busy or self.heard[:1]
+        busy = self._busy or self.active[:1]
         return joined({e.topic: e.control.tell(e.control.turn.cancel) for e in busy})
 
     def tick(self) -> bool:
         """Check the progress of the turns; returns whether one is under way."""
-        return sum(each.control.tick() for each in self.heard) > 0
+        return sum(each.control.tick() for each in self.active) > 0
 
     def shut_down(self) -> None:
         """Discard the turns under way."""
-        for each in self.heard:
+        for each in self.active:
             each.control.shut_down()
 
 
@@ -273,7 +274,7 @@ def at_once(act: Callable[[], Conclusion]) -> Ask:
 def offer_services(
     node: Node, services: Mapping[str, Ask], note: Callable[[Exception], object]
 ) -> None:
-    """Offer services, which answer as soon as their function has told its conclusion.
+    """Offer services, which answer as soon as their function has returned its conclusion.
 
     `note` takes each error in a service; the caller receives the error as well.
     """

@@ -130,8 +130,8 @@ class Calibrator(Node):
         except Unreadable:
             streams.imu_drops[DropReason.UNREADABLE] += 1
             return
-        if self._inputs.imu.heard(frame):
-            for each in self._magnetometers.heard:
+        if self._inputs.imu.note_message(frame):
+            for each in self._magnetometers.active:
                 each.look_at_sensors()
         if sample is None:
             streams.imu_drops[DropReason.ABSENT] += 1
@@ -188,13 +188,13 @@ class Calibrator(Node):
         """Use the new calibration in force for the heading."""
         if magnetometer is self._first:
             self._self_calibration.machine.put_in_force(self._store.calibration)
-        self._pipeline.use({each.number: each.store for each in self._magnetometers.heard})
+        self._pipeline.use({each.number: each.store for each in self._magnetometers.active})
         self._publish_status()
 
     def _reset(self) -> Conclusion:
         self._known.forget()
-        were_in_force = [each.store.calibration for each in self._magnetometers.heard]
-        for each in self._magnetometers.heard:
+        were_in_force = [each.store.calibration for each in self._magnetometers.active]
+        for each in self._magnetometers.active:
             each.reset()
         if not any(were_in_force):
             return Conclusion(True, "there was no calibration in force")
@@ -256,7 +256,7 @@ class Calibrator(Node):
         ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
-        for each in self._magnetometers.heard:
+        for each in self._magnetometers.active:
             if each.out is not None:
                 each.out.repeat_bias(now)
         statuses = [

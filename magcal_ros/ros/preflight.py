@@ -85,17 +85,17 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
         return Preflight((f"the node {calibrator} is not running: {remedy}",), False)
     sensors, taken = inputs
     _listen(node, sensors, duration)
-    ready = {heard.kind for heard in sensors if heard.messages} == {IMU_TYPE, FIELD_TYPE}
+    ready = {sensor.kind for sensor in sensors if sensor.messages} == {IMU_TYPE, FIELD_TYPE}
     lines = []
-    for heard in sensors:
-        publishers = node.count_publishers(heard.topic)
-        if heard.messages:
-            lines += [_describe(heard, duration), *_judge(heard, duration, publishers)]
+    for sensor in sensors:
+        publishers = node.count_publishers(sensor.topic)
+        if sensor.messages:
+            lines += [_describe(sensor, duration), *_judge(sensor, duration, publishers)]
             continue
-        found = set(_of_sensors(node, heard.kind)) - taken
-        lines += _explain_silence(heard, publishers, [printable(topic) for topic in found])
+        found = set(_of_sensors(node, sensor.kind)) - taken
+        lines += _explain_silence(sensor, publishers, [printable(topic) for topic in found])
         if ready:
-            lines.append(f"  {printable(heard.topic)} is silent and is not calibrated")
+            lines.append(f"  {printable(sensor.topic)} is silent and is not calibrated")
     return Preflight(tuple(lines), ready)
 
 
@@ -125,7 +125,7 @@ def _inputs_of(node: Node, calibrator: str) -> tuple[list[SensorTopic], set[str]
 
 
 def _listen(node: Node, sensors: Sequence[SensorTopic], duration: float) -> None:
-    subscriptions = [heard.listen(node) for heard in sensors]
+    subscriptions = [sensor.listen(node) for sensor in sensors]
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     deadline = time.monotonic() + duration
@@ -136,15 +136,15 @@ def _listen(node: Node, sensors: Sequence[SensorTopic], duration: float) -> None
         node.destroy_subscription(subscription)
 
 
-def _describe(heard: SensorTopic, duration: float) -> str:
-    frames = ", ".join(sorted(frame or "(empty)" for frame in heard.frames))
-    size = heard.size
-    measured = f"{size:.2f} m/s²" if heard.kind == IMU_TYPE else f"{size * 1e6:.1f} µT"
-    return f"{heard.topic}: {heard.messages / duration:.0f} Hz, frame {frames}, {measured}"
+def _describe(sensor: SensorTopic, duration: float) -> str:
+    frames = ", ".join(sorted(frame or "(empty)" for frame in sensor.frames))
+    size = sensor.size
+    measured = f"{size:.2f} m/s²" if sensor.kind == IMU_TYPE else f"{size * 1e6:.1f} µT"
+    return f"{sensor.topic}: {sensor.messages / duration:.0f} Hz, frame {frames}, {measured}"
 
 
-def _judge(heard: SensorTopic, duration: float, publishers: int) -> list[str]:
-    found, stamps = [], [sample.stamp for sample in heard.samples]
+def _judge(sensor: SensorTopic, duration: float, publishers: int) -> list[str]:
+    found, stamps = [], [sample.stamp for sample in sensor.samples]
     if stamps and not any(stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
     elif len(stamps) > FEWEST_STAMPS:
@@ -152,20 +152,20 @@ def _judge(heard: SensorTopic, duration: float, publishers: int) -> list[str]:
         found += [f"  {words}"] if words else []
     if publishers > 1:
         found.append(f"  {publishers} publishers on one topic: only one can be the sensor")
-    if heard.kind == IMU_TYPE:
-        if not 0.8 < heard.size / STANDARD_GRAVITY < 1.2:
-            unit = likely_acceleration_unit(heard.size)
+    if sensor.kind == IMU_TYPE:
+        if not 0.8 < sensor.size / STANDARD_GRAVITY < 1.2:
+            unit = likely_acceleration_unit(sensor.size)
             found.append(f"  gravity should read 9.81 m/s² at rest{unit and ': '}{unit}")
         return found
-    unit = likely_field_unit(heard.size)
+    unit = likely_field_unit(sensor.size)
     found += [f"  {unit}"] if unit else []
-    if heard.messages / duration < SLOWEST_FIELD:
+    if sensor.messages / duration < SLOWEST_FIELD:
         found.append("  slower than 5 Hz: turn slowly, a full circle in 30 s or more")
     return found
 
 
-def _explain_silence(heard: SensorTopic, publishers: int, elsewhere: Sequence[str]) -> list[str]:
-    lines = [f"{heard.topic}: nothing arrives ({publishers} publishers)"]
+def _explain_silence(sensor: SensorTopic, publishers: int, elsewhere: Sequence[str]) -> list[str]:
+    lines = [f"{sensor.topic}: nothing arrives ({publishers} publishers)"]
     if publishers:
         lines.append("  it is advertised: check that the driver runs and the clock is not paused")
     if elsewhere:
@@ -235,26 +235,26 @@ class Listener:
             SensorTopic(imu_topic, IMU_TYPE, take),
             SensorTopic(field_topic, FIELD_TYPE, take),
         )
-        for heard in self.sensors:
-            heard.listen(node)
+        for sensor in self.sensors:
+            sensor.listen(node)
         self._description = DescriptionListener(node, lambda: None)
         self._description.listen()
 
     @property
     def several_publishers(self) -> list[str]:
         """The topics with more than one publisher, in words."""
-        said = []
-        for heard in self.sensors:
-            infos = self._node.get_publishers_info_by_topic(heard.topic)
+        several = []
+        for sensor in self.sensors:
+            infos = self._node.get_publishers_info_by_topic(sensor.topic)
             if len(infos) > 1:
                 names = ", ".join(printable(name) for name in sorted({i.node_name for i in infos}))
-                said.append(f"{len(infos)} publishers on {printable(heard.topic)}: {names}")
-        return said
+                several.append(f"{len(infos)} publishers on {printable(sensor.topic)}: {names}")
+        return several
 
     @property
     def described_pose(self) -> FloatArray | None:
         """The magnetometer's pose in the IMU frame by the robot's description, if known."""
-        imu, field = (identifier(heard.frame) for heard in self.sensors)
+        imu, field = (identifier(sensor.frame) for sensor in self.sensors)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:
             return None

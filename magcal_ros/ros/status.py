@@ -35,7 +35,7 @@ def status_json(
 
     `parts` are further entries.
     """
-    first = magnetometers.heard[0]
+    first = magnetometers.active[0]
     store, streams, turn = first.store, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:

@@ -137,7 +137,7 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
     """Send a call unless it is empty, and return the answer."""
     assert process.stdout is not None
     back, to = process.stdout.fileno(), -1
-    unsent, heard = memoryview(call), bytearray()
+    unsent, received = memoryview(call), bytearray()
     # Other selectors need a file descriptor, and there may be no free one.
     with selectors.PollSelector() as line:
         if process.stdin is not None:
@@ -145,7 +145,7 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
             os.set_blocking(to, False)
             line.register(to, selectors.EVENT_WRITE)
         line.register(back, selectors.EVENT_READ)
-        while len(heard) < SIZE or len(heard) < SIZE + int.from_bytes(heard[:SIZE], "big"):
+        while len(received) < SIZE or len(received) < SIZE + int.from_bytes(received[:SIZE], "big"):
             ready = line.select(LOOK)
             for key, _ in ready:
                 if key.fd == to:
@@ -153,12 +153,12 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
                     if not unsent:
                         line.unregister(to)
                 elif words := os.read(back, 65536):
-                    heard += words
+                    received += words
                 else:
                     raise EOFError
             if not ready and _is_stopped(process):
                 raise EOFError
-    return bytes(heard[SIZE:])
+    return bytes(received[SIZE:])
 
 
 def _is_stopped(process: subprocess.Popen[bytes]) -> bool:

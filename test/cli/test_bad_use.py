@@ -30,8 +30,8 @@ def call(capfdbinary):
             status = main([os.fsdecode(each) for each in arguments])
         except SystemExit as left:
             status = left.code
-        said = capfdbinary.readouterr()
-        return SimpleNamespace(returncode=status, stdout=said.out, stderr=said.err)
+        printed = capfdbinary.readouterr()
+        return SimpleNamespace(returncode=status, stdout=printed.out, stderr=printed.err)
 
     return run_here
 
@@ -199,16 +199,16 @@ EVIL = "a\x1b[31mb\x9b2Jc\u202ed"
 def test_names_of_files_cannot_control_the_terminal(call, folder, tmp_path):
     for arguments in (("fit", folder, "--output", tmp_path / EVIL), ("fit", tmp_path / EVIL)):
         done = call(*arguments)
-        said = (done.stdout + done.stderr).decode()
-        assert "a?[31mb?2Jc?d" in said, arguments
-        assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
+        printed = (done.stdout + done.stderr).decode()
+        assert "a?[31mb?2Jc?d" in printed, arguments
+        assert all(letter.isprintable() or letter == "\n" for letter in printed), arguments
 
 
 def test_arguments_cannot_control_the_terminal(call, folder):
     # As `magcal doctor *` passes them for a folder with such names.
     for arguments in (("doctor", folder, EVIL), (EVIL,), ("fit", f"--output={EVIL}", f"--{EVIL}")):
-        said = call(*arguments).stderr.decode()
-        assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
+        printed = call(*arguments).stderr.decode()
+        assert all(letter.isprintable() or letter == "\n" for letter in printed), arguments
 
 
 def test_a_missing_recording_is_reported_in_one_line(call, tmp_path):
@@ -261,6 +261,6 @@ def test_an_os_error_without_a_file_name_is_internal(monkeypatch, capsys):
 def test_an_invalid_node_name_is_reported(name, capsys):
     with pytest.raises(SystemExit, match=f"{Exit.USAGE:d}"):
         main(["calibrate", "--node", name])
-    said = capsys.readouterr().err
-    assert "is not the name of a node" in said
-    assert "\x1b" not in said
+    printed = capsys.readouterr().err
+    assert "is not the name of a node" in printed
+    assert "\x1b" not in printed

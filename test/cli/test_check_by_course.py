@@ -36,17 +36,17 @@ def test_the_offset_is_reported_and_a_wrong_calibration_named(seconds, tmp_path,
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration, Origin.now("mag_link", "imu_link"))
     main(["check", str(bag), "--calibration", str(path), "--json", "--output", str(tmp_path / "o")])
-    told = json.loads(capsys.readouterr().out)
-    course = told["course"]
+    reported = json.loads(capsys.readouterr().out)
+    course = reported["course"]
     assert course["declination_deg"] is not None
-    said = [words for words in told["about"] if words.startswith("compass minus course")]
-    assert f"{course['declination_deg']:+.1f}° of it is declination" in said[0]
+    printed = [words for words in reported["about"] if words.startswith("compass minus course")]
+    assert f"{course['declination_deg']:+.1f}° of it is declination" in printed[0]
     assert course["metres"] > 300
     found = {each["figure"]: each["state"] for each in course["findings"]}
     if seconds == 100.0:
         return
     assert found["course_swing_once"] in ("warn", "refused")
     main(["drive", str(bag), "--calibration", str(path), "--output", str(tmp_path / "d")])
-    said = [line for line in capsys.readouterr().out.splitlines() if "minus course" in line]
-    assert "declination" in said[0]
+    printed = [line for line in capsys.readouterr().out.splitlines() if "minus course" in line]
+    assert "declination" in printed[0]
     assert 'id="course">After: compass minus course' in (tmp_path / "d" / "report.html").read_text()

@@ -34,18 +34,18 @@ def record(folder, axes, scale=1.0, every=2):
 
 def test_good_sensors_have_no_fault(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3))]) == 0
-    said = capsys.readouterr().out
-    assert "x forward, y left, z up" in said
-    assert "wrong" not in said
-    assert "What to do" not in said
+    printed = capsys.readouterr().out
+    assert "x forward, y left, z up" in printed
+    assert "wrong" not in printed
+    assert "What to do" not in printed
 
 
 def test_a_wrong_unit_is_reported_once_in_published_numbers(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3), scale=1e6)]) == 4
-    said = capsys.readouterr().out
-    assert said.count("looks like microtesla published as tesla") == 1
-    assert re.search(r"field: unit +\d\d\.\d ± [\d.]+ T as published, without", said)
-    assert "e+" not in said
+    printed = capsys.readouterr().out
+    assert printed.count("looks like microtesla published as tesla") == 1
+    assert re.search(r"field: unit +\d\d\.\d ± [\d.]+ T as published, without", printed)
+    assert "e+" not in printed
 
 
 def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):
@@ -56,17 +56,21 @@ def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):
     samples += [FieldSample(*row) for row in zip(log.field_time, log.field, strict=True)]
     path = write_bag(tmp_path / "bag", sorted(samples, key=lambda sample: sample.stamp))
     assert main(["doctor", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"look  IMU: orientation +its yaw is \+11\d ± \d° off .* BNO08x", said), said
+    printed = capsys.readouterr().out
+    assert re.search(r"look  IMU: orientation +its yaw is \+11\d ± \d° off .* BNO08x", printed), (
+        printed
+    )
 
 
 def test_the_parameter_to_change_is_printed_and_written(tmp_path, capsys):
     file = tmp_path / "\x1b[31mparams.yaml"
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
-    said = capsys.readouterr().out
-    assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in said
-    assert f"Written: {tmp_path}/?[31mparams.yaml. Start the calibrator with `--params-file" in said
-    assert "(after `--ros-args`), and calibrate again." in said
+    printed = capsys.readouterr().out
+    assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in printed
+    assert (
+        f"Written: {tmp_path}/?[31mparams.yaml. Start the calibrator with `--params-file" in printed
+    )
+    assert "(after `--ros-args`), and calibrate again." in printed
     content = yaml.safe_load(file.read_text())
     assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
 
@@ -75,9 +79,9 @@ def test_a_fault_that_no_mounting_corrects_is_not_written(tmp_path, capsys):
     file = tmp_path / "params.yaml"
     arguments = record(tmp_path / "bag", signed_permutations()[24])
     assert main(["doctor", *arguments, "--json", "--write", str(file)]) == 4
-    said = json.loads(capsys.readouterr().out)
-    assert said["mount_rpy_deg"] is None
-    assert any("mirrored" in finding["remedy"] for finding in said["findings"])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["mount_rpy_deg"] is None
+    assert any("mirrored" in finding["remedy"] for finding in printed["findings"])
     assert not file.exists()
 
 
@@ -102,11 +106,11 @@ def test_a_recording_excludes_the_live_option(tmp_path, capsys):
 def test_the_given_direction_of_the_turn_is_used(tmp_path, capsys):
     # All sensors agree on the direction of the turn: the user may have turned the other way.
     arguments = record(tmp_path / "bag", np.eye(3))
-    said = []
+    printed = []
     for side in ("left", "right"):
         assert main(["doctor", *arguments, "--json", "--turned", side]) == 0
-        said.append("z of all sensors points down" in capsys.readouterr().out)
-    assert sorted(said) == [False, True]
+        printed.append("z of all sensors points down" in capsys.readouterr().out)
+    assert sorted(printed) == [False, True]
 
 
 def test_known_gains_are_written_with_the_mounting(tmp_path):
@@ -131,11 +135,11 @@ def test_bursts_are_reported_once_with_the_mean_rate(tmp_path, capsys):
         (tmp_path / "csv" / name).write_text("\n".join([head, *late]) + "\n")
     rate = (len(read) - 1) / (read[-1] - read[0])
     assert main(["doctor", *arguments]) == 4
-    said = capsys.readouterr().out
-    assert f"{rate:.1f} Hz in bursts" in said
-    assert said.count("the stamps come in bursts") == 1
-    assert "IMU: stamps and field: stamps: the stamps come in bursts" in said
-    assert "look  recording" not in said
+    printed = capsys.readouterr().out
+    assert f"{rate:.1f} Hz in bursts" in printed
+    assert printed.count("the stamps come in bursts") == 1
+    assert "IMU: stamps and field: stamps: the stamps come in bursts" in printed
+    assert "look  recording" not in printed
 
 
 def test_the_option_named_by_a_refused_fit_corrects_it(tmp_path, capsys, monkeypatch):

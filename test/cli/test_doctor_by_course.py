@@ -44,8 +44,8 @@ def samples():
     ids=["magnetometer to the left", "right", "both to the left"],
 )
 def test_a_course_gives_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
-    said = [recorded(turned(sample, imu, field)) for sample in samples]
-    bag = write_bag(tmp_path / "bag", [each for each in said if each])
+    printed = [recorded(turned(sample, imu, field)) for sample in samples]
+    bag = write_bag(tmp_path / "bag", [each for each in printed if each])
     main(["doctor", str(bag), "--json"])
     page = json.loads(capsys.readouterr().out)
     lines = {f["key"]: f for f in page["findings"]}

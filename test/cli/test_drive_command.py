@@ -36,9 +36,9 @@ def driven(tmp_path_factory):
 
 def test_a_drive_without_a_calibration_ends_with_one_and_a_page(driven, tmp_path, capsys):
     status = main(["drive", str(driven), *REFERENCE, "--output", str(tmp_path), "--json"])
-    told = json.loads(capsys.readouterr().out)
+    reported = json.loads(capsys.readouterr().out)
     assert status == 0
-    assert told["decisions"][-1]["decision"] in ("applied", "refined")
+    assert reported["decisions"][-1]["decision"] in ("applied", "refined")
     found, _ = read_calibration(tmp_path / "calibration.yaml")
     # A decision names the first, which is graded; `magcal fit` names both.
     on_the_way, own = predicted_heading_sigma(found), known_sigma(found)
@@ -47,8 +47,8 @@ def test_a_drive_without_a_calibration_ends_with_one_and_a_page(driven, tmp_path
         f"heading ±{math.degrees(own):.1f}° by the calibration (1σ); along the drive, with local"
         f" magnetic disturbances, ±{math.degrees(on_the_way):.1f}°"
     )
-    assert shown in told["summary"]
-    assert f"±{math.degrees(own):.1f}°" in told["decisions"][-1]["why"]
+    assert shown in reported["summary"]
+    assert f"±{math.degrees(own):.1f}°" in reported["decisions"][-1]["why"]
     apart = 1e6 * (found.correction.hard_iron - ROBOT.hard_iron)
     assert np.abs(apart[:2]).max() < 3.0
     page = (tmp_path / "report.html").read_text()
@@ -138,10 +138,10 @@ def test_a_drive_with_a_gyro_in_degrees_is_reported(tmp_path, capsys):
     good = write_csv(tmp_path / "good", drive(400.0))
     folder = rewritten(good, "imu.csv", slice(4, 7), math.degrees(1.0), tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
-    said = capsys.readouterr().out
-    assert "the sensors may be the cause" in said
-    assert "degrees/s published as rad/s" in said
-    assert "was not sufficient" not in said
+    printed = capsys.readouterr().out
+    assert "the sensors may be the cause" in printed
+    assert "degrees/s published as rad/s" in printed
+    assert "was not sufficient" not in printed
     assert "degrees/s published as rad/s" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -149,6 +149,6 @@ def test_a_drive_with_a_field_in_microtesla_is_reported(driven, tmp_path, capsys
     """The message is not that there is no gyro."""
     folder = rewritten(driven, "mag.csv", slice(1, 4), 1e6, tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
-    said = capsys.readouterr().err
-    assert "microtesla published as tesla" in said
-    assert "no gyro" not in said
+    printed = capsys.readouterr().err
+    assert "microtesla published as tesla" in printed
+    assert "no gyro" not in printed

@@ -301,8 +301,8 @@ def test_omitted_repetitions_are_reported(fit, tmp_path):
     for k, after in repeated:
         samples[after] = samples[after]._replace(field=samples[k].field)
     _, out, _ = fit(write_csv(tmp_path / "csv", samples))
-    said = f"{len(repeated)} of {len(fields)} samples repeat the previous one and are left out"
-    assert f"mag.csv: {said}" in out
+    printed = f"{len(repeated)} of {len(fields)} samples repeat the previous one and are left out"
+    assert f"mag.csv: {printed}" in out
 
 
 def test_a_turn_without_a_gyro_is_reported_with_the_missing_knowledge(tmp_path, capsys):
@@ -310,8 +310,8 @@ def test_a_turn_without_a_gyro_is_reported_with_the_missing_knowledge(tmp_path, 
     rows = (folder / "imu.csv").read_text().splitlines()
     (folder / "imu.csv").write_text("\n".join(",".join(row.split(",")[:4]) for row in rows) + "\n")
     assert main(["fit", str(folder), "--output", str(tmp_path / "found"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    figures = {check["figure"] for check in told["checks"]}
+    reported = json.loads(capsys.readouterr().out)
+    figures = {check["figure"] for check in reported["checks"]}
     assert not figures & {"latency", "motor_field"}, "nothing measured them"
     assert main(["fit", str(folder), "--output", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out

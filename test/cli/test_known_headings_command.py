@@ -54,8 +54,8 @@ def test_three_known_headings_give_a_calibration(fit, recordings, tmp_path):
 
 
 def test_a_bearing_instead_of_a_yaw_is_named(fit, recordings):
-    told = [90.0 - yaw for yaw in YAWS]
-    status, words = fit(*recordings, "--heading-deg", *told, "--north", "magnetic")
+    reported = [90.0 - yaw for yaw in YAWS]
+    status, words = fit(*recordings, "--heading-deg", *reported, "--north", "magnetic")
     assert status == 4
     assert "as a compass bearing does" in words
 
@@ -70,9 +70,9 @@ def test_a_bearing_instead_of_a_yaw_is_named(fit, recordings):
     ],
 )
 def test_incomplete_headings_are_refused(fit, recordings, arguments, words):
-    status, said = fit(*recordings, *arguments)
+    status, printed = fit(*recordings, *arguments)
     assert status == 2
-    assert words in said
+    assert words in printed
 
 
 def antenna(stamp, yaw):

@@ -197,10 +197,12 @@ class TestASlowImu:
         slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
         path = write_sensor_logger(tmp_path / "phone", slow)
         main(["fit", str(path), "--output", str(tmp_path / "f"), *REFERENCE, "--json"])
-        told = json.loads(capsys.readouterr().out)
-        assert told["numbers"]["samples"] > 50
-        assert any("the IMU comes at 1 Hz" in words for words in told["recording"]["complaints"])
-        iron = [told["numbers"][f"hard_iron_{axis}_ut"] for axis in "xy"]
+        reported = json.loads(capsys.readouterr().out)
+        assert reported["numbers"]["samples"] > 50
+        assert any(
+            "the IMU comes at 1 Hz" in words for words in reported["recording"]["complaints"]
+        )
+        iron = [reported["numbers"][f"hard_iron_{axis}_ut"] for axis in "xy"]
         assert iron == pytest.approx(1e6 * ROBOT.hard_iron[:2], abs=2.0)
 
     @pytest.mark.parametrize("command", ["fit", "drive"])

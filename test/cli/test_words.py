@@ -61,8 +61,8 @@ def test_a_terminal_gets_its_width_and_a_script_whole_lines(monkeypatch, out, li
         ("residual_percent", "residual_percent"),
     ],
 )
-def test_a_command_names_its_options(words, said):
-    assert with_options(words) == said
+def test_a_command_names_its_options(words, printed):
+    assert with_options(words) == printed
 
 
 def recheck(*chances):
@@ -98,16 +98,16 @@ STATUS = {"summary": "A. But b; and 1 more.", "headline": "A.", "against": ["b",
 
 def test_the_answer_of_a_turn_names_every_reason():
     status = {"verdict": STATUS | {"accepted": True}}
-    told = with_all_reasons("timed out; A. But b; and 1 more. It is saved.", status)
-    assert told == "timed out; A.\n\nBut:\n  - b\n  - c\n\nIt is saved."
+    reported = with_all_reasons("timed out; A. But b; and 1 more. It is saved.", status)
+    assert reported == "timed out; A.\n\nBut:\n  - b\n  - c\n\nIt is saved."
 
 
 @pytest.mark.parametrize(
     "text", ["no json", "{}", "7", json.dumps({"verdict": STATUS | {"summary": "another"}})]
 )
 def test_an_answer_without_a_status_is_unchanged(text):
-    told = with_all_reasons("A. But b; and 1 more.", status_of(text))
-    assert told == "A. But b; and 1 more."
+    reported = with_all_reasons("A. But b; and 1 more.", status_of(text))
+    assert reported == "A. But b; and 1 more."
 
 
 @pytest.mark.parametrize("name", ["fit", "drive", "check", "doctor", "calibrate", "export", "demo"])
@@ -115,21 +115,21 @@ def test_the_help_of_a_command_fits_a_terminal(monkeypatch, capsys, name):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main([name, "--help"])
-    said = capsys.readouterr().out
-    assert [line for line in said.splitlines() if len(line) > 80] == []
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if len(line) > 80] == []
 
 
 def test_the_help_of_fit_names_every_method(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main(["fit", "--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    assert ", ".join(METHODS) in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert ", ".join(METHODS) in printed
 
 
 def test_the_help_of_drive_explains_the_decisions(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main(["drive", "--help"])
-    told = " ".join(capsys.readouterr().out.split())
-    assert "as with `self_calibration: apply`; the node's default, `propose`, waits for" in told
+    reported = " ".join(capsys.readouterr().out.split())
+    assert "as with `self_calibration: apply`; the node's default, `propose`, waits for" in reported

@@ -23,9 +23,11 @@ def circles(bias=(0.0, 0.0, 0.0), radius=0.0, unevenness=0.4, seed=1):
     robot = Robot(gyro_bias=np.array(bias) * DEGREE, noise_field=0.3e-6, noise_force=0.05)
     motion = Motion(time, rotation_about(UP, -yaw))
     window = measure(robot, motion, np.random.default_rng(seed), gyro=True)
-    pull = np.zeros((len(time), 3))
-    pull[:, 1] = rate**2 * radius
-    return robot, Window(time, window.field, window.specific_force + pull, window.angular_rate)
+    acceleration = np.zeros((len(time), 3))
+    acceleration[:, 1] = rate**2 * radius
+    return robot, Window(
+        time, window.field, window.specific_force + acceleration, window.angular_rate
+    )
 
 
 def known(robot):

@@ -113,14 +113,14 @@ def drive(watch, calibration, robots, minutes, way=Route(), seed=1, start=1000.0
 
 
 def feed(watch, *columns):
-    said = []
+    stated = []
     for k, (stamp, field, force, heading, turning) in enumerate(zip(*columns, strict=True)):
         up = Up(tuple(np.array(force) / np.linalg.norm(force)), 0.0)
         seen = Heading(0.0, 0.0, heading, 0.0, 0.0, 0.0, 0.0)
         watch.take(CompassReading(stamp, tuple(field), up, seen, tuple(turning)))
         if k % 300 == 299:
-            said.append((stamp, watch.result))
-    return said
+            stated.append((stamp, watch.result))
+    return stated
 
 
 def bodies(yaw, lean):

@@ -129,11 +129,11 @@ def test_all_methods_agree_on_when_gravity_is_absent(case):
 
 
 @pytest.mark.parametrize(("z", "told"), [(-9.81, True), (9.81, False)])
-def test_a_refusal_that_axes_may_have_caused_names_them(z, told):
+def test_a_refusal_that_axes_may_have_caused_names_them(z, reported):
     force = np.full((5, 3), [0.0, 0.0, z])
     one = Window(np.arange(5.0), np.full((5, 3), 30e-6), force)
     steep = Refusal(Reason.FIELD_TOO_STEEP, "at an inclination of 86 degrees")
-    assert ("z points down" in str(with_explanation(steep, one))) == told
+    assert ("z points down" in str(with_explanation(steep, one))) == reported
     small = Refusal(Reason.TOO_FEW_SAMPLES, "too few")
     assert with_explanation(small, one) is small
 
@@ -152,12 +152,12 @@ def test_only_listed_methods_are_accepted(name):
 class TestCalibration:
     def test_acceptance_by_the_user_changes_only_the_mark(self):
         one = outcome_of(METHODS[0]).calibration
-        told = one.accepted_by_person()
-        assert told.evidence.accepted_by_user
+        reported = one.accepted_by_person()
+        assert reported.evidence.accepted_by_user
         assert not one.evidence.accepted_by_user
-        assert told.correction is one.correction
-        assert told.evidence.summary == one.evidence.summary
-        assert (told.covariance == one.covariance).all()
+        assert reported.correction is one.correction
+        assert reported.evidence.summary == one.evidence.summary
+        assert (reported.covariance == one.covariance).all()
 
 
 @pytest.mark.parametrize("gyro", [True, False])

@@ -257,7 +257,7 @@ def test_the_sigma_includes_constant_sensor_errors():
     robot = replace(ROBOT, soft_iron=iron)
     windows = windows_on([LEVEL, EAST, NORTH], 5, robot, gyro=True)
     real = replace(KNOWN, exact_sensors=False)
-    outcome, believed = calibrate_turns(windows, real), calibrate_turns(windows, KNOWN)
-    sigmas = [each.multi_turn.shown.absolute_level for each in (outcome, believed)]
+    outcome, assumed = calibrate_turns(windows, real), calibrate_turns(windows, KNOWN)
+    sigmas = [each.multi_turn.shown.absolute_level for each in (outcome, assumed)]
     assert sigmas[0] > 1.2 * sigmas[1]
     assert math.radians(absolute_rms_deg(outcome, robot)) < 3.0 * sigmas[0]

@@ -19,8 +19,8 @@ ROBOT = replace(FLAT, inclination=68.0 * DEGREE)
 def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None, forward=None):
     motion, window = driven(course, ROBOT, rest)
     rate = motion.angular_rate[:, 2]
-    pull = np.outer(radius * rate**2, inwards)
-    force = window.specific_force + pull
+    acceleration = np.outer(radius * rate**2, inwards)
+    force = window.specific_force + acceleration
     speed = None if wheels is None else wheels * radius * rate
     samples = window.time, window.field, force, window.angular_rate
     pulled = collected(Window(*samples, speed=speed))
@@ -66,8 +66,8 @@ def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels()
     sideways = CIRCLE | {"inwards": (-1.0, 0.0, 0.0), "wheels": 1.0}
     error, sigma, _ = judged(**sideways)
     assert error < 2.0 * sigma
-    told, smaller, _ = judged(**sideways, forward=(0.0, 1.0, 0.0))
-    assert told < 2.0 * smaller
+    reported, smaller, _ = judged(**sideways, forward=(0.0, 1.0, 0.0))
+    assert reported < 2.0 * smaller
     assert smaller < 0.8 * sigma
 
 

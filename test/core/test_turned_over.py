@@ -73,8 +73,8 @@ def swung_about_an_elbow(seed):
     arm *= 0.15 / np.linalg.norm(arm)
     rate = window.angular_rate
     spin = np.gradient(rate, window.time, axis=0)
-    pull = np.cross(spin, arm) + np.cross(rate, np.cross(rate, arm))
-    return replace(window, specific_force=window.specific_force + pull)
+    acceleration = np.cross(spin, arm) + np.cross(rate, np.cross(rate, arm))
+    return replace(window, specific_force=window.specific_force + acceleration)
 
 
 @pytest.mark.parametrize("seed", first_of(range(21, 41), 3))

@@ -133,7 +133,7 @@ class TestDamage:
         path = write_bag(tmp_path / "bag", samples[:60], kind)
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = np.frombuffer(file.read_bytes(), np.uint8)
-        rng, said = np.random.default_rng(1), []
+        rng, stated = np.random.default_rng(1), []
         for _ in range(40):
             broken = content.copy()
             where = rng.integers(0, len(content), 20)
@@ -142,9 +142,9 @@ class TestDamage:
             try:
                 read(path)
             except (FileError, UsageError) as error:
-                said.append(str(error))
-        assert len(said) > 5
-        assert all(words.isprintable() for words in said)
+                stated.append(str(error))
+        assert len(stated) > 5
+        assert all(words.isprintable() for words in stated)
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_an_empty_bag(self, tmp_path, kind):

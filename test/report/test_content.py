@@ -103,7 +103,7 @@ def driven():
 def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
     words = words_of(text_of(tmp_path, driven()))
     assert "(SI)" not in words
-    for said in (
+    for stated in (
         "headings driven 12 of 12",
         "length of the drive 93.7 s",
         "disturbance that changes with the place (1σ per axis) 1.4 µT",
@@ -112,7 +112,7 @@ def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
         "Not determined by this drive",
         "The drive was measured by the gyro",
     ):
-        assert said in words
+        assert stated in words
     assert "measured arc" not in words
 
 

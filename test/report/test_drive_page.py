@@ -57,8 +57,10 @@ def test_names_do_not_overlap_the_scale():
 
 
 def test_the_offset_from_course_is_on_the_page():
-    told = replace(replay([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
-    assert 'id="course">After: compass minus course +3.0°' in render_drive(told, "a drive")
+    reported = replace(
+        replay([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°"
+    )
+    assert 'id="course">After: compass minus course +3.0°' in render_drive(reported, "a drive")
 
 
 def test_the_colour_is_the_angle_by_a_disturbance_across_the_field():

@@ -50,6 +50,6 @@ class MobileBase:
     def assert_stopped_and_silent(self):
         """The last commands are several zeros, and then none."""
         assert self.rates[-5:] == [0.0] * 5
-        heard = len(self.commands)
+        received = len(self.commands)
         self.live(0.4)
-        assert len(self.commands) == heard
+        assert len(self.commands) == received

@@ -20,14 +20,14 @@ def rename(names, record):
     A callback group's public method of the same name stays. A line is added to the file `record`
     for each place.
     """
-    said = re.compile(rf"(?<!group\.)\b({'|'.join(names)})\b")
+    stated = re.compile(rf"(?<!group\.)\b({'|'.join(names)})\b")
 
     class Renaming(SourceFileLoader):
         def path_stats(self, path):
             raise OSError("neither read nor leave compiled code")
 
         def source_to_code(self, data, path, **options):
-            text, places = said.subn(r"\1_renamed", data.decode())
+            text, places = stated.subn(r"\1_renamed", data.decode())
             with open(record, "a") as file:
                 file.write(f"{path}\n" * places)
             return super().source_to_code(text.encode(), path, **options)

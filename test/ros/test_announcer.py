@@ -129,6 +129,6 @@ def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
         now[0] += PAUSE
         announcer.complain([])
         now[0] += PAUSE
-    said = capfd.readouterr()
+    printed = capfd.readouterr()
     for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong", "verdict 2"):
-        assert f"[announcer]: {words}" in said.err.replace("the turn is over: ", "")
+        assert f"[announcer]: {words}" in printed.err.replace("the turn is over: ", "")

@@ -221,13 +221,13 @@ class TestSensor:
 
     def test_the_first_message_and_each_new_frame_are_changes(self):
         sensor, _ = self.sensor()
-        met = [sensor.heard(frame) for frame in ("", "", "a", "a", "b", "a")]
+        met = [sensor.note_message(frame) for frame in ("", "", "a", "a", "b", "a")]
         assert met == [True, False, True, False, True, True]
 
     def test_age_and_silence_follow_the_clock(self):
         sensor, now = self.sensor()
         assert sensor.age() == math.inf
-        sensor.heard("a")
+        sensor.note_message("a")
         now[0] = 3.5
         assert sensor.age() == 3.5
         assert sensor.complaint() == "/mag has been silent for 4 s: check its driver and cable"
@@ -235,7 +235,7 @@ class TestSensor:
     def test_alternating_frames_are_a_complaint_until_they_stop(self):
         sensor, _ = self.sensor()
         for k in range(9):
-            sensor.heard("ab"[k % 2])
+            sensor.note_message("ab"[k % 2])
         words = "the frame of /mag changes between 'a' and 'b': only one can be the sensor"
         assert sensor.complaint() == words
         sensor.look()
@@ -246,17 +246,17 @@ class TestSensor:
     def test_one_new_frame_is_no_complaint(self):
         sensor, _ = self.sensor()
         for frame in ("", "a", "a"):
-            sensor.heard(frame)
+            sensor.note_message(frame)
         assert sensor.complaint() == ""
 
 
 def test_a_slow_disk_and_alternating_frames_delay_no_call(stage, ros_home, monkeypatch):
     for frame in ("left", "right"):
         store_calibration(ros_home / "magcal" / f"calibrator.{frame}.yaml", frame=frame)
-    begun, disk_answers = [], threading.Event()
+    start, disk_answers = [], threading.Event()
 
     def crawl(path):
-        begun.append(path)
+        start.append(path)
         disk_answers.wait()
         return read_calibration(path)
 
@@ -271,7 +271,7 @@ def test_a_slow_disk_and_alternating_frames_delay_no_call(stage, ros_home, monke
 
     actor.mangle = alternate
     try:
-        actor.run(PATIENCE, stop=lambda: bool(begun))
+        actor.run(PATIENCE, stop=lambda: bool(start))
         assert actor.answer(actor.call("reset")).success
         words = "the frame of /imu/mag changes between 'left' and 'right'"
         actor.run(PATIENCE, stop=lambda: words in " ".join(actor.status["complaints"]))

@@ -99,7 +99,7 @@ def test_a_parameter_of_unknown_type_is_counted_and_the_node_continues(watched):
 def test_an_error_in_a_sensor_callback_is_counted_and_the_node_continues(graph, loaded):
     robot = loaded()
     node = graph.calibrators[0]
-    sound = node._inputs.imu.heard
+    sound = node._inputs.imu.note_message
     left = [5]
 
     def fail(frame):
@@ -108,7 +108,7 @@ def test_an_error_in_a_sensor_callback_is_counted_and_the_node_continues(graph, 
             raise ZeroDivisionError
         sound(frame)
 
-    node._inputs.imu.heard = fail
+    node._inputs.imu.note_message = fail
     robot.run(PATIENCE, stop=lambda: node._callback_errors.total >= 5)
     robot.run(0.2)
     assert node._callback_errors.total == 5

@@ -91,16 +91,16 @@ def begun_in(house):
 
 def turn_in(house):
     """Return the answers to two calls that wait for a turn."""
-    control, told = begun_in(house), []
-    control.when_done(told.append)
-    control.when_done(told.append)
+    control, reported = begun_in(house), []
+    control.when_done(reported.append)
+    control.when_done(reported.append)
     try:
         control.finish()
     except OSError as error:
         house.note_error(error)
     assert control.turn.state is TurnState.IDLE
     control.shut_down()
-    first, second = told
+    first, second = reported
     assert first is second
     return first
 
@@ -163,13 +163,13 @@ def test_a_memory_error_at_the_end_of_a_turn():
 def test_a_memory_error_when_the_turn_is_checked(monkeypatch, what):
     """Python opens a file where numpy first computes a median."""
     house = House()
-    control, told = begun_in(house), []
-    control.when_done(told.append)
+    control, reported = begun_in(house), []
+    control.when_done(reported.append)
     monkeypatch.setattr(Session, what, no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.finish()
     assert control.turn.state is TurnState.IDLE
-    (answer,) = told
+    (answer,) = reported
     assert not answer.success
     assert "stopped by an error ([Errno 24] Too many open files)" in answer.message
     monkeypatch.undo()
@@ -217,11 +217,11 @@ def test_the_window_has_the_current_of_the_battery():
 
         @property
         def currents(self):
-            self.told += 1
-            return ((999.0 + 0.1 * self.told, -1.0 - 0.01 * self.told),)
+            self.reported += 1
+            return ((999.0 + 0.1 * self.reported, -1.0 - 0.01 * self.reported),)
 
     house = Holding()
-    house.told = 0
+    house.reported = 0
     control = begun_in(house)
     control.finish()
     battery = control.turn.last_window.battery

@@ -46,12 +46,12 @@ def check(printed, folder):
     assert published < 1.0
     assert slopes < 1.0
     assert max(errors(printed, "after, without the sensors' noise")) < 0.3
-    said = re.search(r"roll (\S+)°, pitch (\S+)°", " ".join(printed.split())).groups()
+    output = re.search(r"roll (\S+)°, pitch (\S+)°", " ".join(printed.split())).groups()
     rows = [
         re.search(rf"installation {name} \(°\).*?(\S+) +\S+\n", printed)
         for name in ("roll", "pitch")
     ]
-    assert tuple(row[1] for row in rows) == said
+    assert tuple(row[1] for row in rows) == output
     assert "8 times as fast as in real time" in printed
     assert f"-p calibration_file:={folder / 'calibration.yaml'}" in printed
     calibration, _ = read_calibration(folder / "calibration.yaml")

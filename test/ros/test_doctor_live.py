@@ -40,14 +40,14 @@ class Patient:
         self.source = SensorSource(self.node)
         self.ride = Ride(ROBOT, np.random.default_rng(1), start=time.time())
         self.spoil = spoil
-        self.said = []
+        self.printed = []
 
     def obey(self, process):
-        reader = threading.Thread(target=lambda: self.said.extend(process.stderr), daemon=True)
+        reader = threading.Thread(target=lambda: self.printed.extend(process.stderr), daemon=True)
         reader.start()
         began, doing, since, ticks = time.monotonic(), "", 0.0, 0
         while process.poll() is None and time.monotonic() - began < 3.0 * PATIENCE:
-            asked = "".join(self.said).rsplit("[ ]", 1)[-1].strip()[:4]
+            asked = "".join(self.printed).rsplit("[ ]", 1)[-1].strip()[:4]
             if asked != doing:
                 doing, since = asked, self.ride.stamp
             rate, pitch = self.moves(doing, self.ride.stamp - since)
@@ -74,7 +74,7 @@ def examined(graph):
             [*COMMAND, *PLACE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         patient.obey(process)
-        return process.returncode, process.stdout.read(), "".join(patient.said)
+        return process.returncode, process.stdout.read(), "".join(patient.printed)
 
     return run
 
@@ -86,9 +86,9 @@ def test_a_mirrored_gyro_is_named_after_the_guided_half_minute(examined):
         x, y, z = sample.rate
         return sample._replace(rate=(x, y, -z))
 
-    status, page, said = examined(mirrored)
-    assert said.count("[x]") == 3, said
-    assert status == 4, said
+    status, page, printed = examined(mirrored)
+    assert printed.count("[x]") == 3, printed
+    assert status == 4, printed
     wrong = {f["key"]: f for f in json.loads(page)["findings"] if f["grade"] in ("warn", "refused")}
     assert set(wrong) == {"gyro_axes"}, wrong
     assert "z has the wrong sign" in wrong["gyro_axes"]["remedy"]
@@ -127,8 +127,8 @@ def looked(graph):
         executor.shutdown()
         parser = argparse.ArgumentParser()
         doctor.add_doctor(parser.add_subparsers())
-        heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
-        return heard.report_of(SensorLog.of(samples))
+        received = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
+        return received.report_of(SensorLog.of(samples))
 
     yield run
     for each in (node, other):
@@ -185,8 +185,8 @@ def test_the_remaining_seconds_are_shown_on_a_terminal(monkeypatch, capsys):
     asking.count_down(guide, 0.0)
     asking.count_down(guide, 0.1)
     asking.count_down(guide, 5.0)
-    said = capsys.readouterr().err
-    assert said.count("45 s left") == said.count("40 s left") == 1
+    printed = capsys.readouterr().err
+    assert printed.count("45 s left") == printed.count("40 s left") == 1
 
 
 def test_a_skipped_step_is_called_skipped(capsys):

@@ -19,11 +19,11 @@ IRON = (0.0, 14e-6, -14e-6)
 def fused(loaded):
     """Return an actor whose node is calibrated, and the received fused yaw."""
     actor = loaded(parameters={**REFERENCE, "fused.patience_s": 100.0})
-    heard, reports = [], []
-    actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
+    received, reports = [], []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", received.append, 100)
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
-    actor.run(PATIENCE, stop=lambda: len(heard) > 50 and reports)
-    return actor, heard, reports
+    actor.run(PATIENCE, stop=lambda: len(received) > 50 and reports)
+    return actor, received, reports
 
 
 def yaw_of(message):
@@ -37,16 +37,16 @@ def diagnostic(reports):
 
 
 def test_the_fused_yaw_follows_the_robot_and_ignores_passing_iron(fused):
-    actor, heard, reports = fused
-    assert len(heard) > 50
-    assert heard[-1].header.frame_id == "imu_link"
-    assert heard[-1].angular_velocity_covariance[0] == -1.0
+    actor, received, reports = fused
+    assert len(received) > 50
+    assert received[-1].header.frame_id == "imu_link"
+    assert received[-1].angular_velocity_covariance[0] == -1.0
     actor.run(1.0, yaw_rate=0.5)
     actor.run(1.0)
-    error = float(wrap_angle(yaw_of(heard[-1]) - actor.ride.magnetic_yaw))
+    error = float(wrap_angle(yaw_of(received[-1]) - actor.ride.magnetic_yaw))
     assert abs(math.degrees(error)) < 1.5
     assert diagnostic(reports).level == DiagnosticStatus.OK
-    variance = heard[-1].orientation_covariance[8]
+    variance = received[-1].orientation_covariance[8]
     assert 0.0 < variance < math.radians(3.0) ** 2
 
     def bend(sample):
@@ -58,9 +58,9 @@ def test_the_fused_yaw_follows_the_robot_and_ignores_passing_iron(fused):
     # A busy machine that stands still for half a second of the robot's time loses north.
     actor.speed = 1.0
     actor.run(2.5)
-    error = float(wrap_angle(yaw_of(heard[-1]) - actor.ride.magnetic_yaw))
+    error = float(wrap_angle(yaw_of(received[-1]) - actor.ride.magnetic_yaw))
     assert abs(math.degrees(error)) < 3.0
-    assert heard[-1].orientation_covariance[8] > variance
+    assert received[-1].orientation_covariance[8] > variance
     assert diagnostic(reports).level == DiagnosticStatus.WARN
     assert "ignored" in diagnostic(reports).message
     assert "strength" in diagnostic(reports).message
@@ -68,9 +68,9 @@ def test_the_fused_yaw_follows_the_robot_and_ignores_passing_iron(fused):
 
 def test_without_a_gyro_nothing_is_published_and_this_is_reported(loaded):
     actor = loaded(gyro=False)
-    heard, reports = [], []
-    actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
+    received, reports = [], []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", received.append, 100)
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
     actor.run(PATIENCE, stop=lambda: len(reports) > 1)
-    assert not heard
+    assert not received
     assert "no gyro" in diagnostic(reports).message

@@ -71,13 +71,13 @@ def test_late_subscribers_get_status_and_markers(stage):
     actor = stage(speed=8.0)
     assert actor.calibrate().success
     actor.run(0.3)
-    heard = {String: [], MarkerArray: []}
+    received = {String: [], MarkerArray: []}
     for kind, topic in ((String, "status"), (MarkerArray, "markers")):
         late = f"/calibrator/{topic}"
-        actor.node.create_subscription(kind, late, heard[kind].append, LATCHED)
-    actor.run(PATIENCE, stop=lambda: all(heard.values()))
-    assert json.loads(heard[String][0].data)["state"] == "calibrated"
-    assert "circle" in {marker.ns for marker in heard[MarkerArray][0].markers}
+        actor.node.create_subscription(kind, late, received[kind].append, LATCHED)
+    actor.run(PATIENCE, stop=lambda: all(received.values()))
+    assert json.loads(received[String][0].data)["state"] == "calibrated"
+    assert "circle" in {marker.ns for marker in received[MarkerArray][0].markers}
 
 
 @pytest.mark.nightly
@@ -90,9 +90,9 @@ def test_a_field_at_a_tenth_of_the_imu_rate_calibrates(stage):
 def test_another_sensor_is_reported_while_the_calibration_is_of_the_first(calibrated):
     actor = calibrated
     actor.source._field.header.frame_id = "other_\x1b[2J"
-    heard = []
-    actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
-    actor.run(PATIENCE, stop=lambda: len(heard) > 1)
-    message = heard[-1].status[0].message
+    received = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    actor.run(PATIENCE, stop=lambda: len(received) > 1)
+    message = received[-1].status[0].message
     assert message.startswith("made for the magnetometer 'mag_link', but the field now comes from")
     assert message.isprintable()

@@ -47,14 +47,14 @@ def topic():
 def base(graph, topic):
     """Return the received commands, and a function that listens for a while."""
     node = rclpy.create_node("base")
-    heard = []
-    node.create_subscription(Twist, topic, lambda m: heard.append(m.angular.z), 50)
+    received = []
+    node.create_subscription(Twist, topic, lambda m: received.append(m.angular.z), 50)
 
     def listen(seconds, until=lambda: False):
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not until():
             rclpy.spin_once(node, timeout_sec=0.02)
-        return heard
+        return received
 
     yield listen
     node.destroy_node()
@@ -78,8 +78,8 @@ def doomed(topic):
 def test_zeros_follow_a_signal_that_cannot_be_caught(base, doomed, number):
     assert base(0.5) == []
     os.kill(doomed.pid, number)
-    heard = base(PATIENCE, lambda: len(base(0.0)) >= 5)
-    assert heard[:5] == [0.0] * 5
+    received = base(PATIENCE, lambda: len(base(0.0)) >= 5)
+    assert received[:5] == [0.0] * 5
 
 
 def test_a_dismissed_guard_ends_without_a_command(base, topic):
@@ -109,17 +109,17 @@ def test_a_guard_ends_after_it_has_stopped_the_base(base, topic):
 
 
 def test_zeros_are_stamped_if_the_base_needs_it(graph, topic):
-    node, heard = rclpy.create_node("base"), []
-    node.create_subscription(TwistStamped, topic, heard.append, 50)
-    guard, told = Guard(topic, True, "chassis"), False
+    node, received = rclpy.create_node("base"), []
+    node.create_subscription(TwistStamped, topic, received.append, 50)
+    guard, reported = Guard(topic, True, "chassis"), False
     deadline = time.monotonic() + PATIENCE
-    while not heard and time.monotonic() < deadline:
+    while not received and time.monotonic() < deadline:
         rclpy.spin_once(node, timeout_sec=0.02)
-        if guard.is_ready and not told:
-            told = True
+        if guard.is_ready and not reported:
+            reported = True
             guard.tell_alive()
-    assert heard[0].header.frame_id == "chassis"
-    assert heard[0].twist.angular.z == 0.0
+    assert received[0].header.frame_id == "chassis"
+    assert received[0].twist.angular.z == 0.0
     guard.dismiss()
     node.destroy_node()
 

@@ -48,9 +48,9 @@ def wait_for_zero(robot, since):
 
 
 def assert_only_zeros_follow(robot, seconds=2.0):
-    heard = len(robot.commands)
+    received = len(robot.commands)
     robot.live(seconds)
-    assert set(robot.rates[heard - 1 :]) == {0.0}
+    assert set(robot.rates[received - 1 :]) == {0.0}
 
 
 @pytest.mark.parametrize("how", UNCAUGHT)
@@ -83,8 +83,8 @@ def test_a_stopped_guard_ends_the_turn(run_node, actor):
 
 
 def children_of(pid):
-    told = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [int(child) for child in " ".join(told).split()]
+    reported = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for child in " ".join(reported).split()]
 
 
 def command_of(pid):

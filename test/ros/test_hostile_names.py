@@ -68,11 +68,11 @@ def test_a_very_long_frame_is_cut_in_every_output(stage, capfd):
     actor = stage(parameters={**REFERENCE, "base_frame": "base_link"})
     actor.source._field.header.frame_id = f"{ENORMOUS}m"
     actor.source._imu.header.frame_id = f"{ENORMOUS}i"
-    said = []
-    actor.node.create_subscription(DiagnosticArray, "/diagnostics", said.append, 10)
+    printed = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", printed.append, 10)
 
     def words():
-        return str(said[-1]) if said else ""
+        return str(printed[-1]) if printed else ""
 
     actor.run(PATIENCE, stop=lambda: "no robot_description came" in words())
     assert "no robot_description came" in words()
@@ -91,12 +91,12 @@ def test_the_preflight_prints_a_frame_without_control_characters():
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
-    heard = SensorTopic("/imu", "sensor_msgs/msg/Imu")
+    received = SensorTopic("/imu", "sensor_msgs/msg/Imu")
     for k in range(100):
         message = Imu()
         message.header.frame_id = f"{k}\x1b[2J\n" + "x" * 1000
-        heard.note(serialize_message(message))
-    line = _describe(heard, 1.0)
+        received.note(serialize_message(message))
+    line = _describe(received, 1.0)
     assert line.isprintable()
     assert len(line) < 2000
 

@@ -34,7 +34,7 @@ def tell(actor, **values):
         assert result.successful, result.reason
 
 
-def dock(actor, heading, told=lambda yaw: yaw, north="magnetic_north"):
+def dock(actor, heading, reported=lambda yaw: yaw, north="magnetic_north"):
     """Turn to about a heading (degrees) and give it to the node; returns the answer."""
     way = math.remainder(math.radians(heading) - actor.ride.magnetic_yaw, math.tau)
     goal = actor.ride.magnetic_yaw + way
@@ -45,7 +45,7 @@ def dock(actor, heading, told=lambda yaw: yaw, north="magnetic_north"):
 
     actor.run(PATIENCE, rate, is_there)
     actor.run(0.3)
-    yaw = told(math.degrees(actor.ride.magnetic_yaw))
+    yaw = reported(math.degrees(actor.ride.magnetic_yaw))
     tell(actor, yaw_deg=math.remainder(yaw, 360.0), north=north, sigma_deg=1.0)
     return actor.answer(actor.call("calibrate_at_heading"))
 
@@ -152,8 +152,8 @@ def test_the_topic_gives_the_heading_without_a_parameter(stage):
     answer = actor.answer(actor.call("calibrate_at_heading"))
     assert answer.success, answer.message
     assert "from one known heading" in answer.message
-    (told,) = actor.status["known_headings"]["headings"]
-    assert told.endswith("±1.0° to magnetic north")
+    (reported,) = actor.status["known_headings"]["headings"]
+    assert reported.endswith("±1.0° to magnetic north")
 
 
 def test_antennas_calibrate_the_compass_and_the_fused_yaw_continues_without_them(stage):
@@ -180,29 +180,29 @@ def test_antennas_calibrate_the_compass_and_the_fused_yaw_continues_without_them
 
 def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     actor = stage(parameters=PLACE, speed=SPEED)
-    said = []
+    stated = []
     actor.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+        DiagnosticArray, "/diagnostics", lambda array: stated.append(str(array.status)), 10
     )
     Antennas(actor, lambda yaw: -yaw)
-    actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in said))
+    actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in stated))
     assert actor.status["state"] == "uncalibrated"
 
 
 @pytest.mark.nightly
 def test_antennas_mounted_across_are_named_before_a_calibration(stage):
     actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
-    said = []
+    stated = []
     actor.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+        DiagnosticArray, "/diagnostics", lambda array: stated.append(str(array.status)), 10
     )
     Antennas(actor, lambda yaw: yaw + 0.5 * math.pi)
 
     def turns_and_stands():
         return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
 
-    actor.run(PATIENCE, turns_and_stands, lambda: any("quarter turn" in each for each in said))
-    assert any("quarter turn" in each for each in said)
+    actor.run(PATIENCE, turns_and_stands, lambda: any("quarter turn" in each for each in stated))
+    assert any("quarter turn" in each for each in stated)
     assert actor.status["state"] == "uncalibrated"
 
 
@@ -212,9 +212,9 @@ def test_antennas_to_the_other_north_are_named(calibrated, stage, loaded):
     """By the mounting that they find, also where a calibration from a turn stays in force."""
     mode = {"self_calibration": "off"} if calibrated else {}
     actor = (loaded if calibrated else stage)(parameters={**PLACE, **mode}, speed=SPEED)
-    said = []
+    stated = []
     actor.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+        DiagnosticArray, "/diagnostics", lambda array: stated.append(str(array.status)), 10
     )
     Antennas(actor, lambda yaw: yaw + math.radians(DECLINATION))
 
@@ -222,7 +222,7 @@ def test_antennas_to_the_other_north_are_named(calibrated, stage, loaded):
         return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
 
     words = "the headings are to magnetic north and not to true north"
-    actor.run(PATIENCE, turns_and_stands, lambda: any(words in each for each in said))
-    assert any(words in each for each in said), said[-1]
+    actor.run(PATIENCE, turns_and_stands, lambda: any(words in each for each in stated))
+    assert any(words in each for each in stated), stated[-1]
     if calibrated:
         assert actor.status["calibration"]["method"] != "known_headings"

@@ -83,7 +83,7 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
     def interrupt(process):
         progress = actor.status.get("progress") or {}
         if progress.get("samples", 0) > 50 and not hasattr(process, "told"):
-            process.told = True
+            process.reported = True
             process.send_signal(signal.SIGINT)
 
     process = run_beside(actor, after=interrupt)
@@ -120,8 +120,8 @@ def test_a_sensor_on_another_topic_is_found(stage):
     driver = actor.node.create_publisher(Imu, "vendor/imu", 1)
     found = published_for(actor, 0.5)
     actor.node.destroy_publisher(driver)
-    told = [line for line in found.lines if "the same type is published" in line]
-    assert told == ["  the same type is published on /vendor/imu: remap to it with -r"]
+    reported = [line for line in found.lines if "the same type is published" in line]
+    assert reported == ["  the same type is published on /vendor/imu: remap to it with -r"]
 
 
 def test_stamps_in_bursts_are_reported_before_the_turn(stage):

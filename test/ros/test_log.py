@@ -15,48 +15,50 @@ WARN, INFO = 30, 20
 
 
 @pytest.fixture
-def heard(graph):
+def received(graph):
     return []
 
 
-def listen(node, heard):
+def listen(node, received):
     def hear(message):
         if message.name == "calibrator":
             level = message.level if isinstance(message.level, int) else ord(message.level)
-            heard.append((level, message.msg))
+            received.append((level, message.msg))
 
     return node.create_subscription(Log, "/rosout", hear, 1000)
 
 
-def test_missing_sensors_give_a_warning_and_a_turn_is_logged(start_node, actor, heard, monkeypatch):
+def test_missing_sensors_give_a_warning_and_a_turn_is_logged(
+    start_node, actor, received, monkeypatch
+):
     monkeypatch.setattr(node, "Announcer", partial(Announcer, lasting=0.5))
     start_node(REFERENCE)
     robot = actor(speed=8.0)
-    listen(robot.node, heard)
+    listen(robot.node, received)
     until = time.monotonic() + PATIENCE
-    while time.monotonic() < until and len(heard) < 2:
+    while time.monotonic() < until and len(received) < 2:
         robot._executor.spin_once(timeout_sec=0.1)
-    warnings = [words for level, words in heard if level == WARN]
+    warnings = [words for level, words in received if level == WARN]
     assert any("nothing has arrived on /imu/data_raw" in words for words in warnings)
     assert any("nothing has arrived on /imu/mag" in words for words in warnings)
     for service in ("start", "cancel"):
         assert robot.answer(robot.call(service)).success
-    robot.run(PATIENCE, stop=lambda: any("the turn is over" in words for _, words in heard))
-    told = [words for level, words in heard if level == INFO]
-    begins = next(k for k, words in enumerate(told) if words == "a turn begins")
-    over = next(k for k, words in enumerate(told) if words.startswith("the turn is over: "))
+    robot.run(PATIENCE, stop=lambda: any("the turn is over" in words for _, words in received))
+    reported = [words for level, words in received if level == INFO]
+    begins = next(k for k, words in enumerate(reported) if words == "a turn begins")
+    over = next(k for k, words in enumerate(reported) if words.startswith("the turn is over: "))
     assert begins < over
-    assert "cancelled" in told[over]
-    assert len(heard) < 12
+    assert "cancelled" in reported[over]
+    assert len(received) < 12
 
 
 @pytest.mark.nightly
-def test_a_faulty_receiver_does_not_flood_the_log(start_node, actor, heard):
+def test_a_faulty_receiver_does_not_flood_the_log(start_node, actor, received):
     start_node({})
     robot = actor()
-    listen(robot.node, heard)
+    listen(robot.node, received)
     fixes = robot.node.create_publisher(NavSatFix, "gps/fix", 10)
-    begun = time.monotonic()
+    start = time.monotonic()
     for k in range(1, 10_000):
         fix = NavSatFix(latitude=40.0 + 10.0 * (k // 5 % 2), longitude=10.0 + k % 3)
         fix.header.stamp.sec = k
@@ -66,4 +68,4 @@ def test_a_faulty_receiver_does_not_flood_the_log(start_node, actor, heard):
     for _ in range(20):
         robot._executor.spin_once(timeout_sec=0.1)
     # Two subjects, one line in ten seconds each, and some at the start.
-    assert len(heard) < 15 + 2.0 * (time.monotonic() - begun) / PAUSE
+    assert len(received) < 15 + 2.0 * (time.monotonic() - start) / PAUSE

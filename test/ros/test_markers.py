@@ -22,12 +22,12 @@ def as_array(points):
 def test_a_finished_turn_is_drawn_in_the_imus_frame_at_a_readable_scale(stage):
     actor = stage()
     assert actor.calibrate().success
-    heard = []
-    actor.node.create_subscription(MarkerArray, "/calibrator/markers", heard.append, LATCHED)
+    received = []
+    actor.node.create_subscription(MarkerArray, "/calibrator/markers", received.append, LATCHED)
     actor.run(1.0)
-    parts = drawn(heard[-1])
+    parts = drawn(received[-1])
     assert {"raw", "corrected", "circle", "axis"} <= set(parts)
-    assert {marker.header.frame_id for marker in heard[-1].markers} == {"imu_link"}
+    assert {marker.header.frame_id for marker in received[-1].markers} == {"imu_link"}
     level = actor.robot.strength * math.cos(actor.robot.inclination) / 50e-6
     corrected = as_array(parts["corrected"].points)
     assert np.allclose(np.hypot(corrected[:, 0], corrected[:, 1]).mean(), level, rtol=0.05)
@@ -40,13 +40,13 @@ def test_a_finished_turn_is_drawn_in_the_imus_frame_at_a_readable_scale(stage):
 @pytest.mark.nightly
 def test_an_active_turn_shows_the_missing_arc(stage):
     actor = stage(parameters={**REFERENCE, "window.timeout_s": 30.0})
-    heard = []
-    actor.node.create_subscription(MarkerArray, "/calibrator/markers", heard.append, LATCHED)
+    received = []
+    actor.node.create_subscription(MarkerArray, "/calibrator/markers", received.append, LATCHED)
     future = actor.call("calibrate")
     actor.run(math.radians(230.0) / 0.5 / actor.speed, 0.5)
     # Standing, until a preview has seen all of it.
     actor.run(2.5)
-    parts = drawn(heard[-1])
+    parts = drawn(received[-1])
     assert "corrected" not in parts
     missing = as_array(parts["missing"].points)
     centre = as_array(parts["circle"].points).mean(axis=0)

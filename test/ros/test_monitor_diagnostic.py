@@ -13,37 +13,37 @@ from magcal_ros.core.monitoring import MonitorResult
 def scene(start_node, actor):
     node = start_node(REFERENCE)
     robot = actor(ROBOT)
-    heard = {}
+    received = {}
 
     def keep(message):
-        heard.update({status.name: status for status in message.status})
+        received.update({status.name: status for status in message.status})
 
     robot.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
-    return node, robot, lambda: heard.get("calibrator: Watch")
+    return node, robot, lambda: received.get("calibrator: Watch")
 
 
 def test_a_stale_calibration_is_reported_until_a_new_one(scene, ros_home):
-    node, robot, said = scene
+    node, robot, stated = scene
 
     def wait_for(words):
-        robot.run(PATIENCE, stop=lambda: words in said().message)
-        assert words in said().message
+        robot.run(PATIENCE, stop=lambda: words in stated().message)
+        assert words in stated().message
 
-    robot.run(PATIENCE, stop=lambda: said() is not None)
-    assert "before a calibration is in force" in said().message
+    robot.run(PATIENCE, stop=lambda: stated() is not None)
+    assert "before a calibration is in force" in stated().message
     assert robot.status["watch"] is None
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
-    assert said().level == DiagnosticStatus.OK
+    assert stated().level == DiagnosticStatus.OK
     robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._samples) > 3)
     assert len(node._first.monitor._samples) > 3, "field messages reach the watch"
     node._first.monitor.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
     wait_for("has not held for about 4 min")
-    assert said().level == DiagnosticStatus.WARN
+    assert stated().level == DiagnosticStatus.WARN
     robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
-    assert said().level == DiagnosticStatus.OK
+    assert stated().level == DiagnosticStatus.OK
     robot.run(PATIENCE, stop=lambda: not robot.status["watch"]["stale"])
     assert not robot.status["watch"]["stale"]

@@ -58,9 +58,9 @@ def stamp_of(message):
 
 def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motors, tmp_path):
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **OFF})
-    heard, now = [], {"rate": 0.0, "current": IDLE}
+    received, now = [], {"rate": 0.0, "current": IDLE}
     yaws = {}
-    actor.node.create_subscription(Imu, "compass/mag/enu/imu", heard.append, 10)
+    actor.node.create_subscription(Imu, "compass/mag/enu/imu", received.append, 10)
     battery = actor.node.create_publisher(BatteryState, "battery", 1)
 
     def add(sample):
@@ -79,10 +79,10 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
     def drive(rate, current):
         now.update(rate=rate, current=current)
         actor.run(1.0, rate)
-        heard.clear()
+        received.clear()
         actor.run(1.5, rate)
-        off = [float(wrap_angle(yaw_of(m) - yaws[stamp_of(m)])) for m in heard]
-        return abs(np.median(off)), np.median([m.orientation_covariance[8] for m in heard])
+        off = [float(wrap_angle(yaw_of(m) - yaws[stamp_of(m)])) for m in received]
+        return abs(np.median(off)), np.median([m.orientation_covariance[8] for m in received])
 
     rest, at_rest = drive(0.0, IDLE)
     turning, while_moving = drive(0.6, 3.0)
@@ -92,11 +92,11 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
     assert while_moving - at_rest > 0.15 * (SIGMA / level) ** 2
     assert while_moving - at_rest < 4.0 * (SIGMA / level) ** 2
     actor.run(PATIENCE, 0.6, lambda: actor.status["motors"]["moves"])
-    told = actor.status["motors"]["inputs"]
-    assert told["current"]["from"] == "/battery"
-    assert told["turn_rate"]["from"] == "gyro"
-    assert told["moving"]["field_ut"] == [4.0, -3.0, 2.0]
-    assert told["moving"]["sigma_ut"] == pytest.approx(math.sqrt(3.0) * 0.5, abs=0.01)
+    reported = actor.status["motors"]["inputs"]
+    assert reported["current"]["from"] == "/battery"
+    assert reported["turn_rate"]["from"] == "gyro"
+    assert reported["moving"]["field_ut"] == [4.0, -3.0, 2.0]
+    assert reported["moving"]["sigma_ut"] == pytest.approx(math.sqrt(3.0) * 0.5, abs=0.01)
     # Further magnetometers may have been calibrated at other currents.
     known, now_running = (
         read_calibration(with_motors)[0].motors,
@@ -128,11 +128,11 @@ def learnt_of_speed(actor, now):
             now["speed"] = speed
             actor.run(0.6)
 
-    def told():
+    def reported():
         return (actor.status["motors"] or {}).get("inputs", {})
 
-    actor.run(PATIENCE, stop=lambda: "speed" in told())
-    return told()["speed"]
+    actor.run(PATIENCE, stop=lambda: "speed" in reported())
+    return reported()["speed"]
 
 
 def test_a_motor_field_by_wheels_is_learnt_and_stored(graph, with_motors, tmp_path, monkeypatch):
@@ -175,11 +175,11 @@ def test_the_command_is_the_speed_without_wheels(graph, knowing, tmp_path, kind)
     (message.twist if kind is TwistStamped else message).linear.x = 0.5
     actor.node.create_timer(0.05, lambda: out.publish(message))
 
-    def told():
+    def reported():
         return actor.status["motors"]["inputs"]["speed"]["from"]
 
-    actor.run(PATIENCE, stop=lambda: told() == "/cmd_vel")
-    assert told() == "/cmd_vel"
+    actor.run(PATIENCE, stop=lambda: reported() == "/cmd_vel")
+    assert reported() == "/cmd_vel"
 
 
 @pytest.mark.nightly

@@ -30,9 +30,9 @@ def listen():
     """Return a function that collects the messages of a topic for an actor."""
 
     def subscribe(actor, kind, topic, qos=10):
-        heard = []
-        actor.node.create_subscription(kind, topic, heard.append, qos)
-        return heard
+        received = []
+        actor.node.create_subscription(kind, topic, received.append, qos)
+        return received
 
     return subscribe
 
@@ -51,17 +51,17 @@ def recorded(calibration_of_the_robot, tmp_path_factory):
             return [sample]
 
         actor.mangle = remember
-        heard = {name: [] for name in TOPICS}
+        received = {name: [] for name in TOPICS}
         for name, (kind, topic) in TOPICS.items():
-            actor.node.create_subscription(kind, topic, heard[name].append, 10)
+            actor.node.create_subscription(kind, topic, received[name].append, 10)
         actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
         settled = 1e9 * (actor.ride.stamp + SETTLED_WITHIN)
-        actor.run(PATIENCE, stop=lambda: any(_nanoseconds(m) > settled for m in heard["true"]))
+        actor.run(PATIENCE, stop=lambda: any(_nanoseconds(m) > settled for m in received["true"]))
         actor.yaws.clear()
-        for messages in heard.values():
+        for messages in received.values():
             messages.clear()
-        actor.run(PATIENCE, stop=lambda: min(len(actor.yaws), *map(len, heard.values())) >= 100)
-        return actor, heard
+        actor.run(PATIENCE, stop=lambda: min(len(actor.yaws), *map(len, received.values())) >= 100)
+        return actor, received
 
 
 def quaternion(message):
@@ -70,15 +70,15 @@ def quaternion(message):
 
 
 def test_the_outputs_agree_with_the_truth_and_with_each_other(recorded):
-    actor, heard = recorded
-    body_to_enu = Rotation.from_quat([quaternion(m) for m in heard["magnetic"]]).mean()
+    actor, received = recorded
+    body_to_enu = Rotation.from_quat([quaternion(m) for m in received["magnetic"]]).mean()
     yaw, pitch, roll = body_to_enu.as_euler("ZYX")
     truth = actor.ride.magnetic_yaw
     assert abs(float(wrap_angle(yaw - truth))) < math.radians(1.0)
     assert roll == pytest.approx(math.radians(5.0), abs=2e-3)
     assert pitch == pytest.approx(math.radians(-3.0), abs=2e-3)
-    magnetic = {_nanoseconds(m): quaternion(m) for m in heard["magnetic"]}
-    both = [message for message in heard["true"] if _nanoseconds(message) in magnetic]
+    magnetic = {_nanoseconds(m): quaternion(m) for m in received["magnetic"]}
+    both = [message for message in received["true"] if _nanoseconds(message) in magnetic]
     assert len(both) > 20
     for message in both:
         turned = Rotation.from_quat(magnetic[_nanoseconds(message)]).as_euler("ZYX")[0]
@@ -89,24 +89,24 @@ def test_the_outputs_agree_with_the_truth_and_with_each_other(recorded):
 
 
 def test_stamps_are_the_fields_and_frames_are_the_imus(recorded):
-    actor, heard = recorded
+    actor, received = recorded
     for topic in ("field", "magnetic", "true"):
-        assert heard[topic]
-        assert {message.header.frame_id for message in heard[topic]} == {"imu_link"}
-        assert {_nanoseconds(message) for message in heard[topic]} <= actor.sent
+        assert received[topic]
+        assert {message.header.frame_id for message in received[topic]} == {"imu_link"}
+        assert {_nanoseconds(message) for message in received[topic]} <= actor.sent
 
 
 def test_the_compensated_field_is_the_earths_in_body_axes(recorded):
-    actor, heard = recorded
-    field = np.mean([_vector(message.magnetic_field) for message in heard["field"]], axis=0)
+    actor, received = recorded
+    field = np.mean([_vector(message.magnetic_field) for message in received["field"]], axis=0)
     truth = actor.ride.attitude @ actor.robot.field_enu
     assert np.linalg.norm(field - truth) < 0.6e-6
-    assert not np.any(heard["field"][0].magnetic_field_covariance)
+    assert not np.any(received["field"][0].magnetic_field_covariance)
 
 
 def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(recorded):
-    actor, heard = recorded
-    last = heard["magnetic"][-1]
+    actor, received = recorded
+    last = received["magnetic"][-1]
     assert last.angular_velocity_covariance[0] == -1.0
     assert last.linear_acceleration_covariance[0] == -1.0
     covariance = np.array(last.orientation_covariance).reshape(3, 3)
@@ -120,11 +120,11 @@ def test_a_covariance_of_the_field_is_rotated_into_body_axes(loaded, listen):
     actor = loaded()
     sigma = np.diag([1e-14, 4e-14, 9e-14])
     actor.source._field.magnetic_field_covariance = sigma.ravel()
-    heard = listen(actor, MagneticField, "imu/mag_unbiased")
+    received = listen(actor, MagneticField, "imu/mag_unbiased")
     bias = listen(actor, MagneticField, "imu/mag_bias", LATCHED)
-    actor.run(PATIENCE, stop=lambda: bias and heard)
+    actor.run(PATIENCE, stop=lambda: bias and received)
     a = np.array(bias[-1].magnetic_field_covariance).reshape(3, 3)
-    carried = np.array(heard[-1].magnetic_field_covariance).reshape(3, 3)
+    carried = np.array(received[-1].magnetic_field_covariance).reshape(3, 3)
     assert np.allclose(carried, a @ sigma @ a.T, rtol=1e-9)
 
 
@@ -143,7 +143,7 @@ def test_late_subscribers_are_served_immediately(loaded, listen):
     robot = loaded()
     for kind, topic in ((MagneticField, "imu/mag_unbiased"), (Imu, "compass/mag/enu/imu")):
         late = listen(robot, kind, topic)
-        robot.run(PATIENCE, stop=lambda heard=late: len(heard) > 20)
+        robot.run(PATIENCE, stop=lambda received=late: len(received) > 20)
         assert len(late) > 20
 
 
@@ -155,10 +155,10 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
     assert magnetic
     assert not true
     assert actor.status["north"] == "magnetic"
-    heard = listen(actor, DiagnosticArray, "/diagnostics")
+    received = listen(actor, DiagnosticArray, "/diagnostics")
 
     def is_said():
-        parts = [part for each in heard for part in each.status]
+        parts = [part for each in received for part in each.status]
         return any("compass/true/enu/imu" in part.message for part in parts)
 
     actor.run(PATIENCE, stop=is_said)
@@ -167,9 +167,9 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
 
 def test_diagnostics_give_the_state_of_calibration_field_and_inputs(stage, listen, ros_home):
     actor = stage()
-    heard = listen(actor, DiagnosticArray, "/diagnostics")
-    actor.run(PATIENCE, stop=lambda: heard and actor.source.listeners)
-    parts = {status.name: status for status in heard[-1].status}
+    received = listen(actor, DiagnosticArray, "/diagnostics")
+    actor.run(PATIENCE, stop=lambda: received and actor.source.listeners)
+    parts = {status.name: status for status in received[-1].status}
     assert set(parts) == {
         "calibrator: Calibration",
         "calibrator: Field",
@@ -183,10 +183,10 @@ def test_diagnostics_give_the_state_of_calibration_field_and_inputs(stage, liste
     assert actor.answer(actor.call("load")).success
 
     def levels():
-        return {status.level for status in heard[-1].status}
+        return {status.level for status in received[-1].status}
 
     def field():
-        return next(s.message for s in heard[-1].status if s.name == "calibrator: Field")
+        return next(s.message for s in received[-1].status if s.name == "calibrator: Field")
 
     def all_well():
         return levels() == {DiagnosticStatus.OK} and field()[0].isdigit()

@@ -71,10 +71,10 @@ def is_from(words):
 def test_a_fix_gives_the_reference_and_true_north_with_its_variance(receive):
     _, receiver = receive({})
     actor = receiver.actor
-    heard = {}
+    received = {}
     for name in ("true", "mag"):
-        heard[name] = []
-        actor.node.create_subscription(Imu, f"compass/{name}/enu/imu", heard[name].append, 10)
+        received[name] = []
+        actor.node.create_subscription(Imu, f"compass/{name}/enu/imu", received[name].append, 10)
     assert actor.status["reference"]["source"] == "unknown"
     receiver.say()
     reference = receiver.reference(is_from("World Magnetic Model 2025 at 48.14°N 11.58°E"))
@@ -88,11 +88,11 @@ def test_a_fix_gives_the_reference_and_true_north_with_its_variance(receive):
     # Had the fit not heard of the reference, it would say so.
     assert "reference field" not in " ".join(actor.status["verdict"]["not_shown"])
     actor.run(0.5)
-    for messages in heard.values():
+    for messages in received.values():
         messages.clear()
     actor.run(1.0)
-    magnetic = {m.header.stamp.nanosec: m for m in heard["mag"]}
-    both = [(magnetic[m.header.stamp.nanosec], m) for m in heard["true"] if
+    magnetic = {m.header.stamp.nanosec: m for m in received["mag"]}
+    both = [(magnetic[m.header.stamp.nanosec], m) for m in received["true"] if
             m.header.stamp.nanosec in magnetic]  # fmt: skip
     assert len(both) > 5
     sigma = math.radians(reference["declination_sigma_deg"])
@@ -142,8 +142,8 @@ def test_bad_fixes_are_ignored_and_reported(receive):
 
 def test_a_confirmed_far_place_is_used_and_reported(receive):
     _, receiver = receive({})
-    heard = []
-    receiver.actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    received = []
+    receiver.actor.node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
     receiver.say()
     receiver.reference(is_from("48.14°N"))
     receiver.say(NEW_YORK)
@@ -152,9 +152,9 @@ def test_a_confirmed_far_place_is_used_and_reported(receive):
     reference = receiver.reference(is_from("40.70°N 74.00°W"))
     assert reference["declination_deg"] == pytest.approx(-12.5, abs=1.0)
     assert "gps/fix has moved by 64" in reference["complaints"][0]
-    heard.clear()
-    receiver.actor.run(PATIENCE, stop=lambda: bool(heard))
-    field = next(s for s in heard[-1].status if s.name == "calibrator: Field")
+    received.clear()
+    receiver.actor.run(PATIENCE, stop=lambda: bool(received))
+    field = next(s for s in received[-1].status if s.name == "calibrator: Field")
     assert field.level == DiagnosticStatus.WARN
     assert "gps/fix has moved by 64" in field.message
     values = {pair.key: pair.value for pair in field.values}

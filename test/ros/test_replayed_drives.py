@@ -21,8 +21,8 @@ class Audience:
     def __init__(self, node):
         self.node = node
         self.headings, self.fused = [], []
-        for topic, heard in (("mag", self.headings), ("fused", self.fused)):
-            node.create_subscription(Imu, f"compass/{topic}/enu/imu", noting(heard), 100)
+        for topic, received in (("mag", self.headings), ("fused", self.fused)):
+            node.create_subscription(Imu, f"compass/{topic}/enu/imu", noting(received), 100)
 
     def during_replay(self, folder, rate, service=None):
         """Replay a drive, calling a service as it begins; returns the service's answer."""
@@ -39,11 +39,11 @@ class Audience:
         return None if future is None else future.result()
 
 
-def noting(heard):
+def noting(received):
     def on_heading(message):
         q, stamp = message.orientation, message.header.stamp
         yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-        heard.append((stamp.sec + 1e-9 * stamp.nanosec, yaw))
+        received.append((stamp.sec + 1e-9 * stamp.nanosec, yaw))
 
     return on_heading
 

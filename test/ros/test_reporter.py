@@ -52,9 +52,9 @@ def report(reporter, folder, second=0, accepted=False, kept=50):
     return reporter.report(second, settings, outcome)
 
 
-def reporter_of(thread, said):
+def reporter_of(thread, stated):
     inputs, travel = SimpleNamespace(imu=SENSOR, field=SENSOR), SimpleNamespace(yaw=None)
-    return Reporter(thread, said.append, inputs, travel)
+    return Reporter(thread, stated.append, inputs, travel)
 
 
 @pytest.fixture
@@ -63,18 +63,18 @@ def thread():
 
 
 @pytest.fixture
-def said():
+def stated():
     return []
 
 
 @pytest.fixture
-def reporter(thread, said):
-    reporter = reporter_of(thread, said)
+def reporter(thread, stated):
+    reporter = reporter_of(thread, stated)
     reporter._worker = Draws()
     return reporter
 
 
-def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, said, reporter):
+def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, stated, reporter):
     draws = reporter._worker
     for k in range(40):
         assert "Report: " in report(reporter, tmp_path, k)
@@ -89,16 +89,16 @@ def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, 
         "2026-05-31_14-03-46",
     ]
     assert all((f / "report.html").exists() for f in tmp_path.iterdir())
-    assert len(said) == 38
-    assert "there were newer turns before the report was written" in said[0]
+    assert len(stated) == 38
+    assert "there were newer turns before the report was written" in stated[0]
     draws.may_end.release()
     report(reporter, tmp_path, 50)
     assert thread.finish_within(30.0)
     assert len(draws.started) == 3
 
 
-def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, said, monkeypatch):
-    reporter = reporter_of(thread, said)
+def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, stated, monkeypatch):
+    reporter = reporter_of(thread, stated)
     run = reporter._worker.run_once
     for longest, work in ((1.0, (time.sleep, 600.0)), (30.0, (time.sleep, 0.0))):
         monkeypatch.setattr(reporter_module, "LONGEST", longest)
@@ -106,7 +106,7 @@ def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, sa
         report(reporter, tmp_path)
         assert thread.finish_within(30.0)
     thread.deliver()
-    (words,) = said
+    (words,) = stated
     assert "took more than 1 s and was ended" in words
 
 

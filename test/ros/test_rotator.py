@@ -93,8 +93,8 @@ def test_a_jump_of_simulated_time_is_named_as_the_reason(base):
     impossible = Clock()
     impossible.clock.sec = -5
     clock.publish(impossible)
-    said = robot.answer(future).message
-    assert "the robot was stopped: the simulated time on /clock jumped" in said
+    printed = robot.answer(future).message
+    assert "the robot was stopped: the simulated time on /clock jumped" in printed
     robot.assert_stopped_and_silent()
 
 

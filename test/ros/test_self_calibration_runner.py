@@ -91,11 +91,11 @@ class TestInTheNode:
         assert kept == [before, None, None]
 
     def test_a_failed_job_is_reported_and_repeated(self, house, monkeypatch):
-        runner, said = house._self_calibration, []
-        runner._say = said.append
+        runner, printed = house._self_calibration, []
+        runner._say = printed.append
         runner.machine.job(house._first.drive_knowledge())
         runner._lost(OSError("no memory"))
-        assert "no memory" in said[0]
+        assert "no memory" in printed[0]
         assert runner.facts()["fits_lost"] == 1
         status = monitor_diagnostic(None, runner)
         assert status.level == DiagnosticStatus.WARN
@@ -106,10 +106,10 @@ class TestInTheNode:
         assert runner.facts()["fits_lost"] == 1
 
     def test_a_job_ended_by_the_node_is_not_reported(self, house):
-        runner, said = house._self_calibration, []
-        runner._say = said.append
+        runner, printed = house._self_calibration, []
+        runner._say = printed.append
         runner._lost(WorkerStopped())
-        assert not said
+        assert not printed
         assert runner.facts()["fits_lost"] == 0
 
 

@@ -37,14 +37,14 @@ def describe(actor, magnetometer=ORIGIN, imu="0 0 1.5707963267948966"):
 
 def complaints(actor, words):
     """Wait until the node's diagnostics say something; returns what `Inputs` says last."""
-    said = [""]
+    stated = [""]
 
     def hear(message):
-        said.extend(status.message for status in message.status if "Inputs" in status.name)
+        stated.extend(status.message for status in message.status if "Inputs" in status.name)
 
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
-    actor.run(PATIENCE, stop=lambda: words in said[-1])
-    return said[-1]
+    actor.run(PATIENCE, stop=lambda: words in stated[-1])
+    return stated[-1]
 
 
 def test_the_description_gives_the_mounting_and_the_base_frame(stage):

@@ -20,7 +20,7 @@ class Served:
 
     def __init__(self):
         self.node = rclpy.create_node("served")
-        self.group, self.heard, self.errors = SensorGroup(), [], []
+        self.group, self.received, self.errors = SensorGroup(), [], []
         self.subscription = self.node.create_subscription(
             Float64, "number", self.hear, 100, callback_group=self.group
         )
@@ -36,7 +36,7 @@ class Served:
             self.node, [self.subscription], self.group, self.errors.append, [unhurried]
         )
         self.thread = threading.Thread(target=self.spinner.spin, daemon=True)
-        self.on_number = self.heard.append
+        self.on_number = self.received.append
 
     def hear(self, message):
         self.on_number(message.data)
@@ -94,22 +94,22 @@ def test_low_priority_messages_are_taken_with_the_next_others(served, number):
     with publishing("aside") as aside:
         served.thread.start()
         number(1.0)
-        wait_until(lambda: served.heard == [1.0])
+        wait_until(lambda: served.received == [1.0])
         aside(*range(40))
         time.sleep(0.2)
         assert served.aside == []
         for step in range(10):
             number(step)
-            wait_until(lambda: len(served.heard) == step + 2)  # noqa: B023
+            wait_until(lambda: len(served.received) == step + 2)  # noqa: B023
         wait_until(lambda: served.aside == list(range(40)))
 
 
 def test_every_message_is_delivered_once_and_in_order(served, number):
     served.thread.start()
     number(*range(80))
-    wait_until(lambda: len(served.heard) >= 80)
+    wait_until(lambda: len(served.received) >= 80)
     time.sleep(0.05)
-    assert served.heard == list(range(80))
+    assert served.received == list(range(80))
     assert not served.group.is_open
 
 
@@ -123,11 +123,11 @@ def test_a_missing_function_leaves_the_work_to_rclpy(served, number, warnings, o
         for k in range(80):
             number(k)
             time.sleep(0.002)
-        wait_until(lambda: len(served.heard) >= 80)
+        wait_until(lambda: len(served.received) >= 80)
         time.sleep(0.05)
     finally:
         bring_back()
-    assert served.heard == list(range(80))
+    assert served.received == list(range(80))
     assert served.group.is_open
     assert not served.errors
     assert len(warnings) == 1
@@ -143,7 +143,7 @@ def test_an_rclpy_without_a_wait_set_uses_its_executor(served, number, warnings,
         served.thread.start()
         wait_until(lambda: warnings)
     number(1)
-    wait_until(lambda: served.heard == [1.0])
+    wait_until(lambda: served.received == [1.0])
 
 
 def test_an_error_in_a_callback_is_not_taken_for_one_of_rclpy(served, number, warnings):
@@ -151,12 +151,12 @@ def test_an_error_in_a_callback_is_not_taken_for_one_of_rclpy(served, number, wa
         if value % 2.0:
             # Like a failure inside rclpy.
             raise AttributeError("of the callback's own")
-        served.heard.append(value)
+        served.received.append(value)
 
     served.on_number = fail_at_odd_numbers
     served.thread.start()
     number(*range(40))
-    wait_until(lambda: len(served.heard) == 20)
+    wait_until(lambda: len(served.received) == 20)
     assert len(served.errors) == 20
     assert not warnings
     assert not served.group.is_open
@@ -168,7 +168,7 @@ def test_a_flood_is_processed_in_parts(served, number, monkeypatch):
 
     class Lock:
         def __enter__(self):
-            turns.append(len(served.heard))
+            turns.append(len(served.received))
 
         def __exit__(self, *_):
             pass
@@ -176,7 +176,7 @@ def test_a_flood_is_processed_in_parts(served, number, monkeypatch):
     served.spinner._lock = Lock()
     number(*range(90))
     served.thread.start()
-    wait_until(lambda: len(served.heard) == 90)
+    wait_until(lambda: len(served.received) == 90)
     assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
 
 
@@ -184,7 +184,7 @@ def test_a_node_works_with_any_executor(served, number):
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(served.node)
     number(5)
-    wait_until(lambda: executor.spin_once(timeout_sec=0.05) or served.heard == [5.0])
+    wait_until(lambda: executor.spin_once(timeout_sec=0.05) or served.received == [5.0])
     executor.shutdown()
 
 
@@ -195,4 +195,4 @@ def test_a_loop_ended_before_its_start_ends(served, number):
     assert not served.thread.is_alive()
     number(1)
     time.sleep(0.1)
-    assert not served.heard
+    assert not served.received

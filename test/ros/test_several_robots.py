@@ -29,18 +29,18 @@ def test_diagnostics_have_separate_names_and_hardware(start_node, actor):
     start_node(arguments=in_namespace("two"))
     start_node()
     robot = actor()
-    heard = {}
+    received = {}
 
     def hear(message):
-        heard.update({status.name: status for status in message.status})
+        received.update({status.name: status for status in message.status})
 
     robot.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
     wanted = {f"{name}: Inputs" for name in ("one/calibrator", "two/calibrator", "calibrator")}
-    robot.run(PATIENCE, stop=lambda: wanted <= set(heard))
-    assert wanted <= set(heard)
+    robot.run(PATIENCE, stop=lambda: wanted <= set(received))
+    assert wanted <= set(received)
 
     def values_of(name):
-        return {pair.key: pair.value for pair in heard[f"{name}: Inputs"].values}
+        return {pair.key: pair.value for pair in received[f"{name}: Inputs"].values}
 
     def rates():
         values = values_of("calibrator")
@@ -48,7 +48,9 @@ def test_diagnostics_have_separate_names_and_hardware(start_node, actor):
 
     robot.run(PATIENCE, stop=lambda: all(float(number) > 10.0 for number, _ in rates()))
     assert all(float(number) > 10.0 and unit == "Hz" for number, unit in rates())
-    assert {status.hardware_id for name, status in heard.items() if name[0] == "c"} == {"mag_link"}
+    assert {status.hardware_id for name, status in received.items() if name[0] == "c"} == {
+        "mag_link"
+    }
     assert values_of("one/calibrator")["/one/imu/mag rate"] == "0.0 Hz"
 
 
@@ -93,14 +95,14 @@ def wait_for_turn(graph_node):
 
     from magcal_ros.ros.sensor_frames import LATCHED
 
-    heard = []
+    received = []
     graph_node.create_subscription(
-        String, "/calibrator/status", lambda m: heard.append(m.data), LATCHED
+        String, "/calibrator/status", lambda m: received.append(m.data), LATCHED
     )
     until = time.monotonic() + PATIENCE
-    while not (heard and '"collecting"' in heard[-1]) and time.monotonic() < until:
+    while not (received and '"collecting"' in received[-1]) and time.monotonic() < until:
         rclpy.spin_once(graph_node, timeout_sec=0.1)
-    assert '"collecting"' in heard[-1]
+    assert '"collecting"' in received[-1]
 
 
 @pytest.fixture

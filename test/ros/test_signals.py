@@ -52,9 +52,9 @@ def run_node(graph, ros_home):
 def end(process, how):
     """End it; returns its output."""
     process.send_signal(how)
-    begun = time.monotonic()
+    start = time.monotonic()
     process.wait(PATIENCE)
-    assert time.monotonic() - begun < AT_ONCE
+    assert time.monotonic() - start < AT_ONCE
     errors = process.stderr.read()
     assert process.returncode == 0, errors
     assert "Traceback" not in errors

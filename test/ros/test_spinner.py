@@ -57,7 +57,7 @@ def flood(served):
     publisher = served.node.create_publisher(Float64, "number", 100)
 
     def follow(value):
-        served.heard.append(value)
+        served.received.append(value)
         publisher.publish(Float64(data=value))
 
     served.on_number = follow
@@ -69,13 +69,13 @@ def flood(served):
 def test_timers_and_services_run_during_a_flood(served, ask):
     """The flood never ends, so waiting for its end would never return."""
     ticks = []
-    served.node.create_timer(0.02, lambda: ticks.append(len(served.heard)))
+    served.node.create_timer(0.02, lambda: ticks.append(len(served.received)))
     served.node.create_service(Trigger, "answer", lambda _, response: response)
     flood(served)
     for _ in range(10):
         wait_until(ask("answer").done)
     wait_until(lambda: len(ticks) > 20)
-    wait_until(lambda: len(served.heard) > max(500, ticks[20]))
+    wait_until(lambda: len(served.received) > max(500, ticks[20]))
 
 
 def test_callbacks_never_overlap(served):
@@ -132,12 +132,12 @@ def test_a_coroutine_that_waits_is_resumed(served, outside, ask, by):
 
 
 def test_entities_created_and_destroyed_while_it_waits_are_noticed(served, outside):
-    heard = []
+    received = []
     publisher = outside.create_publisher(Float64, "late", 10)
     for _ in range(5):
-        heard.clear()
-        subscription = served.node.create_subscription(Float64, "late", heard.append, 10)
-        wait_until(lambda: publisher.publish(Float64()) or heard)
+        received.clear()
+        subscription = served.node.create_subscription(Float64, "late", received.append, 10)
+        wait_until(lambda: publisher.publish(Float64()) or received)
         served.node.destroy_subscription(subscription)
 
 

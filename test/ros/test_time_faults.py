@@ -21,20 +21,20 @@ def calibrated(loaded):
 
 def test_simulated_time_that_stands_still_blocks_nothing(loaded):
     actor = loaded(parameters={**REFERENCE, "use_sim_time": True})
-    heard = []
-    actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
-    actor.run(PATIENCE, stop=lambda: bool(heard))
-    assert heard
+    received = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    actor.run(PATIENCE, stop=lambda: bool(received))
+    assert received
     clock = actor.node.create_publisher(Clock, "/clock", 10)
     paused = Clock()
     paused.clock.sec = 777
     actor.run(PATIENCE, stop=clock.get_subscription_count)
     clock.publish(paused)
-    actor.run(PATIENCE, stop=lambda: heard[-1].header.stamp.sec == 777)
-    heard.clear()
+    actor.run(PATIENCE, stop=lambda: received[-1].header.stamp.sec == 777)
+    received.clear()
     actor.yaws.clear()
-    actor.run(PATIENCE, stop=lambda: len(heard) >= 2 and actor.yaws)
-    assert {message.header.stamp.sec for message in heard} == {777}
+    actor.run(PATIENCE, stop=lambda: len(received) >= 2 and actor.yaws)
+    assert {message.header.stamp.sec for message in received} == {777}
     assert actor.yaws
 
 
@@ -58,6 +58,6 @@ def test_a_field_with_another_clock_is_reported_with_the_offset(calibrated, ahea
     words = "field and IMU are "
     calibrated.run(PATIENCE, stop=lambda: words in " ".join(calibrated.status["complaints"]))
     assert not calibrated.yaws
-    said = " ".join(calibrated.status["complaints"])
-    offset = float(said.partition(words)[2].partition(" s apart")[0])
+    stated = " ".join(calibrated.status["complaints"])
+    offset = float(stated.partition(words)[2].partition(" s apart")[0])
     assert offset == pytest.approx(ahead, abs=0.15)

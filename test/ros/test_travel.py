@@ -157,9 +157,9 @@ def test_the_yaw_of_the_imu_is_found_by_odometry_reported_and_stored(car, drive)
     assert car.status["drive"] is None
     car.drive(drive.samples())
     car.run(PATIENCE, stop=lambda: car.status["vehicle_yaw_offset"])
-    told = car.status["vehicle_yaw_offset"]
-    assert told["deg"] == pytest.approx(8.0, abs=3.0 * told["sigma_deg"])
-    assert told["by"].startswith("accelerations")
+    reported = car.status["vehicle_yaw_offset"]
+    assert reported["deg"] == pytest.approx(8.0, abs=3.0 * reported["sigma_deg"])
+    assert reported["by"].startswith("accelerations")
     assert car.status["drive"]["speed_from"] == "/odom"
     car.run(PATIENCE, stop=lambda: read_calibration(car.path)[1].vehicle_yaw)
     kept = read_calibration(car.path)[1].vehicle_yaw

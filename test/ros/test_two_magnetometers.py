@@ -198,18 +198,18 @@ def test_a_node_for_one_magnetometer_subscribes_to_no_other(start_node):
 def test_a_second_node_is_warned_of_mixed_headings(start_node, actor):
     start_node(arguments=named("left"))
     start_node(arguments=named("right"))
-    robot, heard = actor(calibrator="/left"), {}
+    robot, received = actor(calibrator="/left"), {}
 
     def hear(message):
-        heard.update({status.name: status for status in message.status})
+        received.update({status.name: status for status in message.status})
 
     robot.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
 
-    def told():
-        inputs = heard.get("left: Inputs")
+    def reported():
+        inputs = received.get("left: Inputs")
         return inputs is not None and "/compass/yaw is also published by /right" in inputs.message
 
-    robot.run(PATIENCE, stop=told)
-    assert told()
-    assert heard["left: Inputs"].level == DiagnosticStatus.ERROR
-    assert "imu/mag_2" in heard["left: Inputs"].message
+    robot.run(PATIENCE, stop=reported)
+    assert reported()
+    assert received["left: Inputs"].level == DiagnosticStatus.ERROR
+    assert "imu/mag_2" in received["left: Inputs"].message

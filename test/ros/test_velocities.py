@@ -15,14 +15,14 @@ class Wire:
     """A node that records the published messages with their publishers."""
 
     def __init__(self):
-        self.heard = []
+        self.received = []
 
     def create_publisher(self, kind, topic, _):
-        self.heard.append(("made", kind))
-        return Line(self.heard, kind)
+        self.received.append(("made", kind))
+        return Line(self.received, kind)
 
     def destroy_publisher(self, line):
-        self.heard.append(("gone", line.kind))
+        self.received.append(("gone", line.kind))
 
     def get_clock(self):
         import rclpy.clock
@@ -33,19 +33,19 @@ class Wire:
 class Line:
     topic_name = "/cmd_vel"
 
-    def __init__(self, heard, kind):
-        self.heard, self.kind = heard, kind
+    def __init__(self, received, kind):
+        self.received, self.kind = received, kind
 
     def publish(self, message):
         assert type(message) is self.kind
         twist = message.twist if self.kind is TwistStamped else message
-        self.heard.append((self.kind, twist.angular.z))
+        self.received.append((self.kind, twist.angular.z))
 
     def get_subscription_count(self):
         return 3
 
     def wait_for_all_acked(self, _):
-        self.heard.append("acknowledged")
+        self.received.append("acknowledged")
 
 
 class Guard:
@@ -53,14 +53,14 @@ class Guard:
 
     is_ready = True
 
-    def __init__(self, heard):
-        self.heard = heard
+    def __init__(self, received):
+        self.received = received
 
     def tell_alive(self):
-        self.heard.append("alive")
+        self.received.append("alive")
 
     def dismiss(self):
-        self.heard.append("dismissed")
+        self.received.append("dismissed")
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_a_change_of_type_in_motion_sends_zero_in_the_old_type_first(wire, rotat
     rotator.move(0.4)
     rotator.prepare(STAMPED)
     rotator.move(0.1)
-    assert wire.heard == [
+    assert wire.received == [
         ("made", Twist),
         (Twist, 0.4),
         (Twist, 0.0),
@@ -94,7 +94,7 @@ def test_a_change_of_type_in_motion_sends_zero_in_the_old_type_first(wire, rotat
 def test_a_change_of_type_at_rest_sends_nothing(wire, rotator):
     rotator.prepare(PLAIN)
     rotator.prepare(STAMPED)
-    assert wire.heard == [("made", Twist), ("gone", Twist), ("made", TwistStamped)]
+    assert wire.received == [("made", Twist), ("gone", Twist), ("made", TwistStamped)]
 
 
 def test_halting_sends_the_zeros_once(wire, rotator):
@@ -103,7 +103,7 @@ def test_halting_sends_the_zeros_once(wire, rotator):
     rotator.halt()
     rotator.halt()
     rotator.move(0.4)
-    assert wire.heard[2:] == [(Twist, 0.0)] * LAST_ZEROS + ["acknowledged"]
+    assert wire.received[2:] == [(Twist, 0.0)] * LAST_ZEROS + ["acknowledged"]
 
 
 @pytest.mark.parametrize("has_rested", [False, True])
@@ -112,9 +112,9 @@ def test_nothing_is_sent_at_the_end_to_a_robot_at_rest(wire, rotator, has_rested
     if has_rested:
         rotator.move(0.0)
         rotator.rest()
-    heard = list(wire.heard)
+    received = list(wire.received)
     rotator.halt()
-    assert wire.heard == heard
+    assert wire.received == received
 
 
 def test_the_guard_is_told_each_command_and_dismissed_after_the_last_zeros(wire):
@@ -122,7 +122,7 @@ def test_the_guard_is_told_each_command_and_dismissed_after_the_last_zeros(wire)
 
     def start(*what):
         asked.append(what)
-        return Guard(wire.heard)
+        return Guard(wire.received)
 
     rotator = Rotator(wire, start)
     assert not rotator.is_guarded
@@ -132,21 +132,21 @@ def test_the_guard_is_told_each_command_and_dismissed_after_the_last_zeros(wire)
     rotator.move(0.4)
     rotator.move(0.0)
     rotator.rest()
-    told = ["alive", (TwistStamped, 0.4), "alive", (TwistStamped, 0.0), "dismissed"]
-    assert wire.heard[1:] == told
+    reported = ["alive", (TwistStamped, 0.4), "alive", (TwistStamped, 0.0), "dismissed"]
+    assert wire.received[1:] == reported
     assert not rotator.is_guarded
 
 
 def test_after_a_halt_the_guard_ends_when_the_zeros_have_arrived(wire):
-    rotator = Rotator(wire, lambda *_: Guard(wire.heard))
+    rotator = Rotator(wire, lambda *_: Guard(wire.received))
     rotator.prepare(PLAIN)
     rotator.move(0.4)
     rotator.halt()
-    assert wire.heard[-3:] == [(Twist, 0.0), "acknowledged", "dismissed"]
+    assert wire.received[-3:] == [(Twist, 0.0), "acknowledged", "dismissed"]
 
 
 def test_if_the_zeros_cannot_be_sent_the_guard_stays(wire):
-    rotator = Rotator(wire, lambda *_: Guard(wire.heard))
+    rotator = Rotator(wire, lambda *_: Guard(wire.received))
     rotator.prepare(PLAIN)
     rotator.move(0.4)
     Line.publish, publish = None, Line.publish
@@ -154,17 +154,17 @@ def test_if_the_zeros_cannot_be_sent_the_guard_stays(wire):
         rotator.halt()
     finally:
         Line.publish = publish
-    assert "dismissed" not in wire.heard
+    assert "dismissed" not in wire.received
 
 
 def test_a_guard_that_cannot_be_started_is_reported(wire):
     def fail(*_):
         raise OSError(12, "Cannot allocate memory")
 
-    said = []
-    wire.get_logger = lambda: SimpleNamespace(error=said.append)
+    stated = []
+    wire.get_logger = lambda: SimpleNamespace(error=stated.append)
     rotator = Rotator(wire, fail)
     rotator.prepare(PLAIN)
     assert not rotator.is_guarded
-    assert "guard" in said[0]
-    assert "Cannot allocate memory" in said[0]
+    assert "guard" in stated[0]
+    assert "Cannot allocate memory" in stated[0]

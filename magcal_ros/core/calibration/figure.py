@@ -8,7 +8,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 
 
 class Figure(str, Enum):
-    """A figure; SI units unless said. Its value is its name in files, in JSON and in ROS."""
+    """A figure; SI units unless stated. Its value is its name in files, in JSON and in ROS."""
 
     __str__ = str.__str__
 

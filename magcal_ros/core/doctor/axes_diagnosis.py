@@ -299,8 +299,8 @@ def _all_agree(
     if contrary[given]:
         others = [_wrong_sensors(hypotheses, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
-        said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
-        found.append(ok_or_warning("imu_axes", "axes: up", "a turn to the right", said))
+        words = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
+        found.append(ok_or_warning("imu_axes", "axes: up", "a turn to the right", words))
     return AxesDiagnosis(tuple(found), given, axes)
 
 
@@ -317,29 +317,30 @@ def _findings_on_axes(
         evidence = f"other axes of {names} explain the movement better"
         return AxesDiagnosis((ok_or_warning("axes", "axes", evidence, SEVERAL_WRONG),))
     is_clear = len(culprits) == 1
-    said, axes = {}, None
+    remedies, axes = {}, None
     for (sensor,) in culprits:
         alternatives = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
             axes = PossibleAxes(_distinct(hypotheses.field[alternatives]), False, knowledge)
-            said[sensor] = axes.words if is_clear else axes.alternatives
+            remedies[sensor] = axes.words if is_clear else axes.alternatives
             continue
         words, slip = AXES_REMEDIES[sensor]
         candidates = _distinct(hypotheses.gyro[alternatives])
         is_asked = is_clear and len(candidates) > AXES.most_named
         which = f". To tell which, {LIFT}" if is_asked else ""
-        said[sensor] = words.format(named(candidates, slip)) + which
-    names = " or ".join(said)
+        remedies[sensor] = words.format(named(candidates, slip)) + which
+    names = " or ".join(remedies)
     if not is_clear:
         evidence = f"{names} contradicts the other sensors"
         is_opposite = axes is not None and not axes.dip_known and len(axes.candidates) > 1
         asked = f"{names} has wrong axes, and this movement does not show which: "
-        asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
+        either = "; or ".join(remedies.values())
+        asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {either}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
         return AxesDiagnosis((severe_finding("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
-    line = severe_finding(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
+    line = severe_finding(f"{KEYS[names]}_axes", f"{names}: axes", evidence, remedies[names])
     return AxesDiagnosis((line,), fewest[0], axes)
 
 

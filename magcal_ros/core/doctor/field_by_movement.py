@@ -88,8 +88,8 @@ def with_field(
     motors = motors_finding(found.body, found.hypothesis, shown)
     if motors.is_wrong:
         # Another turn with the motors on would not determine these quantities either.
-        said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
-        lines = [replace(f, evidence=each) for f, each in zip(lines, said, strict=True)]
+        texts = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
+        lines = [replace(f, evidence=each) for f, each in zip(lines, texts, strict=True)]
     return [*lines, motors]
 
 
@@ -128,22 +128,22 @@ def reference_finding(
         f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
         f"inclination {math.degrees(dip):.0f}°"
     )
-    believed = knowledge.reference
+    known = knowledge.reference
     wrong = []
-    if not believed.strength.is_unknown:
-        spread = math.hypot(off, believed.strength.sigma)
-        apart = abs(strength - believed.strength.value)
-        if apart > max(ERRORS.strength * believed.strength.value, CLEAR * spread):
-            wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
-    if not believed.inclination.is_unknown and up_is_down is not None:
-        spread = math.hypot(off / strength, believed.inclination.sigma)
+    if not known.strength.is_unknown:
+        spread = math.hypot(off, known.strength.sigma)
+        apart = abs(strength - known.strength.value)
+        if apart > max(ERRORS.strength * known.strength.value, CLEAR * spread):
+            wrong.append(f"{known.strength.value * 1e6:.1f} µT")
+    if not known.inclination.is_unknown and up_is_down is not None:
+        spread = math.hypot(off / strength, known.inclination.sigma)
         limit = max(ERRORS.inclination, CLEAR * spread)
-        if abs(dip - believed.inclination.value) > limit:
-            if abs(dip + believed.inclination.value) <= limit:
+        if abs(dip - known.inclination.value) > limit:
+            if abs(dip + known.inclination.value) <= limit:
                 return ok_or_warning(
                     "inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP
                 )
-            wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
+            wrong.append(f"an inclination of {math.degrees(known.inclination.value):.0f}°")
     remedy = (
         f"the reference field has {' and '.join(wrong)}: turn farther away from iron and walls. If "
         "the difference is the same everywhere, the magnetometer's scale or unit is wrong"
@@ -153,13 +153,13 @@ def reference_finding(
 
 def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | None:
     """Return a finding that the field points up, if this needs much less hard iron; else None."""
-    believed = knowledge.reference
-    if not (hypothesis.is_as_given and believed.is_complete):
+    known = knowledge.reference
+    if not (hypothesis.is_as_given and known.is_complete):
         return None
     up = unit(hypothesis.state[UP])
     field, iron = (hypothesis.part.size * hypothesis.state[part] for part in (FIELD, IRON))
     field_off, iron_off = (hypothesis.part.size * hypothesis.sigma[part] for part in (FIELD, IRON))
-    along = -believed.strength.value * math.sin(believed.inclination.value)
+    along = -known.strength.value * math.sin(known.inclination.value)
     # The movement may show the sign. What the reference is off by must not look as if it did.
     variance = float(field_off**2 @ up**2) + axial_field_variance(knowledge)
     if 4.0 * float(up @ field) * along > CLEAR**2 * variance:

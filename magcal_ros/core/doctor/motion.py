@@ -64,7 +64,7 @@ MOVE_THE_SENSOR = (
 """Remedies if the field changes when the robot starts to turn."""
 
 
-GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
+GRAVITY_FIRST = "correct the accelerometer as described below, then check again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,9 +274,9 @@ def _shown(found: Belief, vague: float) -> tuple[Belief | None, float]:
     return found, 0.0 if is_small else found.value
 
 
-def _latency(key: str, name: str, latency: Belief | None, tells: str, remedy: str) -> Finding:
+def _latency(key: str, name: str, latency: Belief | None, shown_by: str, remedy: str) -> Finding:
     if latency is None:
-        return undetermined(key, name, tells)
+        return undetermined(key, name, shown_by)
     lag, off = round(latency.value * 1e3), latency.sigma * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
     return ok_or_warning(key, name, how, remedy)

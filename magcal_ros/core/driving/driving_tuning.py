@@ -89,7 +89,7 @@ class MountingYawTuning:
     energy: float = 25.0  # m²/s³, least changes of velocity for a known yaw: two starts
     first_energy: float = 4.0
     """The same for a usable yaw, and for the force while a speed is stuck: half a start."""
-    believed: float = math.radians(6.0)  # largest sigma of a usable yaw, radians
+    usable: float = math.radians(6.0)  # largest sigma of a usable yaw, radians
     explained: float = 0.4  # least fraction of the force's changes that the speed explains
     floor: float = math.radians(0.3)  # least sigma, radians: suspension, tyres
     largest_delay: float = 8.0  # largest latency that is tried, seconds; the least is -1/8 of it

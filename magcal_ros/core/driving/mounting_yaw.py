@@ -65,7 +65,7 @@ class MountingYaw:
     @property
     def is_usable(self) -> bool:
         """Whether the yaw is good enough to subtract the vehicle's acceleration."""
-        return self._explains(MOUNTING.first_energy) and self.sigma < MOUNTING.believed
+        return self._explains(MOUNTING.first_energy) and self.sigma < MOUNTING.usable
 
     @property
     def has_scale(self) -> bool:

@@ -232,7 +232,7 @@ class TravelEstimator:
             acceleration.scale = min(1.0, found.scale)
             acceleration.is_yaw_usable = True
             acceleration.is_yaw_known = found.is_known
-        elif given is not None and given[1] < MOUNTING.believed:
+        elif given is not None and given[1] < MOUNTING.usable:
             acceleration.yaw, acceleration.is_yaw_usable, acceleration.is_yaw_known = (
                 given[0],
                 True,

@@ -213,7 +213,7 @@ def model_field(place: Place, year: float) -> ModelField:
 
     After the newest model's life its sigmas grow each year. Raises `NoModel` some years later.
     """
-    base = max((begun for begun in ERRORS if begun <= year), default=0)
+    base = max((first for first in ERRORS if first <= year), default=0)
     late = max(year - (base + VALIDITY.life), 0.0)
     if not base or not late <= VALIDITY.most_years_late:
         raise NoModel(

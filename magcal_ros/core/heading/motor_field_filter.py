@@ -175,7 +175,7 @@ class MotorFieldFilter:
         self._predict(stamp, rate, motor_state, values, level)
         known = values @ self._gains
         measured = MICROTESLA * np.array(field) - known
-        # Motors may stand that are seen running, or run as usual before an input tells it.
+        # Motors may stand that are seen running, or run as usual before an input shows it.
         otherwise = known[:, None] * known + self._whole
         one, other = self._updates(measured, unknown, unknown + otherwise)
         late = self._late(stamp, other.likelihood - one.likelihood)

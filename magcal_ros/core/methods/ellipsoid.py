@@ -78,10 +78,10 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     kept = np.ones(len(nominal), dtype=np.bool_)
     for _ in range(CLOUD.rounds):
         points = (nominal - ellipsoid.centre) @ ellipsoid.to_unit_sphere
-        believed = on_unit_sphere(np.linalg.norm(points, axis=1))
-        if (believed == kept).all() or believed.mean() < 0.5:
+        accepted = on_unit_sphere(np.linalg.norm(points, axis=1))
+        if (accepted == kept).all() or accepted.mean() < 0.5:
             break
-        kept = believed
+        kept = accepted
         ellipsoid = fit_quadric(nominal[kept], options.shape)
     _refuse_flattened(ellipsoid)
     return Shape(ellipsoid.centre, ellipsoid.to_unit_sphere, ellipsoid.radius, _figures(ellipsoid))

@@ -138,14 +138,15 @@ def _rivals(
     """Return the agreement of other interpretations of the headings, by their words."""
     found = {}
     norths = [_shift(each, knowledge) for each in measurements]
-    told = [wrapped(each.heading - north) for each, north in zip(measurements, norths, strict=True)]
+    pairs = list(zip(measurements, norths, strict=True))
+    magnetic = [wrapped(each.heading - north) for each, north in pairs]
     for words, (factor, shift) in READINGS.items():
-        yaws = [factor * yaw for yaw in told]
+        yaws = [factor * yaw for yaw in magnetic]
         # No yaw in radians is beyond half a turn.
         if max(map(abs, yaws)) <= math.pi:
             read = [
                 replace(each, heading=wrapped(yaw + shift + north))
-                for each, yaw, north in zip(measurements, yaws, norths, strict=True)
+                for (each, north), yaw in zip(pairs, yaws, strict=True)
             ]
             found[words] = agreement_of(read, knowledge, place)
     return found

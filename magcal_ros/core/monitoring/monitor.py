@@ -232,8 +232,8 @@ def onset(records: FloatArray, calibration: Calibration) -> float:
         misfits = np.abs([values - wanted, values - columns @ found])
         scatter = max(1.5 * float(np.median(misfits[1])), CHANGE.smallest_scatter)
         gain += np.subtract(*np.minimum((misfits / scatter) ** 2, 9.0))
-    believed = np.cumsum(np.append(0.0, gain))
-    return float(records[min(int(np.argmin(believed)), len(records) - 1), 0])
+    total = np.cumsum(np.append(0.0, gain))
+    return float(records[min(int(np.argmin(total)), len(records) - 1), 0])
 
 
 class CalibrationMonitor:

@@ -116,10 +116,10 @@ class TurnAccuracy:
 
     def improvement(self, before: TurnAccuracy) -> str:
         """Return in words what a turn has improved, compared with `before`."""
-        said = self.changes(before)
-        if not said:
+        parts = self.changes(before)
+        if not parts:
             return "the same tilt as before: this reduces noise, but shows nothing new"
-        return "brought " + ", ".join(said)
+        return "brought " + ", ".join(parts)
 
     def changes(self, before: TurnAccuracy) -> list[str]:
         """Return what is better known than before, the most important first."""
@@ -193,8 +193,8 @@ class MultiTurnReport:
         both = [first]
         if other is not first and other.after.is_worth_a_turn(self.shown):
             both.append(other)
-        said = [f"{a.pose}: {', '.join(a.after.changes(self.shown)[:2])}." for a in both]
-        return "Next turn " + " Or ".join(said)
+        parts = [f"{a.pose}: {', '.join(a.after.changes(self.shown)[:2])}." for a in both]
+        return "Next turn " + " Or ".join(parts)
 
     @property
     def in_words(self) -> str:

@@ -25,7 +25,7 @@ class BurstTuning:
     straight: float = 1.5
     """Largest range of the stamps about a constant rate, in gaps between bursts; beyond, whole
     bursts are missing."""
-    harmful: float = 0.1  # seconds between bursts from which the user of a running robot is told
+    harmful: float = 0.1  # seconds between bursts from which a running node warns
     watched: int = 3000  # newest gaps that are examined while samples come
 
 

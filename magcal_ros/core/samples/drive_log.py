@@ -98,7 +98,7 @@ class DriveRecorder:
 
     Its clock runs while the robot moves: pauses are cut out. A jump of time, or a gap longer than
     it takes to detect a rest, ends a piece of the drive; the next piece follows on the clock. A
-    piece too short to detect a rest is dropped. `begun` is the clock's start, seconds, NaN before
+    piece too short to detect a rest is dropped. `start` is the clock's start, seconds, NaN before
     the first movement; `rests` is whether the robot rested in the last second.
     """
 
@@ -116,7 +116,7 @@ class DriveRecorder:
         """Forget the drive."""
         self._chunks.clear()
         self._rested.clear()
-        self._newest, self._pause, self.begun = -math.inf, 0.0, math.nan
+        self._newest, self._pause, self.start = -math.inf, 0.0, math.nan
         self._begin_piece()
 
     def _begin_piece(self) -> None:
@@ -141,7 +141,7 @@ class DriveRecorder:
     @property
     def moved(self) -> float:
         """Seconds of movement since the beginning, including rows no longer kept."""
-        return self.clock - self.begun if self._chunks else 0.0
+        return self.clock - self.start if self._chunks else 0.0
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
         """Add a pair whose IMU has a rate, and the speed, m/s; NaN if it is not measured.
@@ -184,7 +184,7 @@ class DriveRecorder:
             for _ in self._recent:
                 self._chunks.pop()
             if not self._chunks:
-                self.begun = math.nan
+                self.start = math.nan
         self._begin_piece()
 
     def log(self) -> Window:
@@ -267,8 +267,8 @@ class DriveRecorder:
                 stamps = stamps + early
                 self._pause -= early
         chunk[:, 0] = stamps
-        if math.isnan(self.begun):
-            self.begun = float(stamps[0])
+        if math.isnan(self.start):
+            self.start = float(stamps[0])
         self._chunks.append(chunk)
 
     def _is_quiet(self, *, field_too: bool) -> bool:

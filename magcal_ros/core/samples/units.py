@@ -270,16 +270,16 @@ def complaints(streams: Streams, imu: InputCounts, mag: InputCounts) -> list[str
     if mag.drops[DropReason.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)
         found.append(unit or f"a field of {streams.largest_field:.3g} T is not the Earth's")
-    for heard, all_words in ((imu, IMU_WORDS), (mag, WORDS)):
+    for counts, all_words in ((imu, IMU_WORDS), (mag, WORDS)):
         found += [
-            f"{heard.topic}: {heard.drops[drop]} of {heard.messages} {words}"
+            f"{counts.topic}: {counts.drops[drop]} of {counts.messages} {words}"
             for drop, words in all_words.items()
-            if heard.drops[drop] > TUNING.worth_a_word * max(heard.messages, 1)
+            if counts.drops[drop] > TUNING.worth_a_word * max(counts.messages, 1)
         ]
     if mag.drops[DropReason.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
-    for heard, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
-        found += [f"{heard.topic}: {words}"] if (words := stamps.bursts.words) else []
+    for counts, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
+        found += [f"{counts.topic}: {words}"] if (words := stamps.bursts.words) else []
     offset = stamp_offset(streams)
     if offset:
         found.append(

@@ -70,10 +70,10 @@ class _Interval:
 
 
 class MotorLearning:
-    """Learns the motors' gains from successive samples; `heard` are the measured inputs."""
+    """Learns the motors' gains from successive samples; `measured` are the measured inputs."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self.heard: frozenset[MotorInput] = frozenset()
+        self.measured: frozenset[MotorInput] = frozenset()
         self._calibration = calibration
         self._white = (calibration.noise_field * MICROTESLA) ** 2
         size = LATE + 1
@@ -154,7 +154,7 @@ class MotorLearning:
         return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
 
     def _is_used(self, which: MotorInput) -> bool:
-        return which in self.heard or INPUTS.index(which) in self._known
+        return which in self.measured or INPUTS.index(which) in self._known
 
     def _scales(self, seen: _GainPosterior, which: list[int]) -> FloatArray:
         """Return the prior sigmas of gains that the calibration does not contain, µT per unit.
@@ -218,7 +218,7 @@ class MotorLearning:
         count = block.count
         u = np.asarray(block.inputs) / count
         known = ~np.isnan(u)
-        self.heard |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
+        self.measured |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
         u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)

@@ -160,8 +160,8 @@ class SelfCalibration:
         if not is_current:
             return []
         made = self._weigh(findings)
-        if not math.isnan(self.recorder.begun):
-            made = [replace(each, clock=each.clock - self.recorder.begun) for each in made]
+        if not math.isnan(self.recorder.start):
+            made = [replace(each, clock=each.clock - self.recorder.start) for each in made]
         self.decisions.extend(made)
         return made
 

@@ -165,8 +165,8 @@ def add_known_heading(
                 f"The calibration in force agrees with this heading (off by {gap * DEGREES:.1f}°) "
                 f"and predicts ±{theirs * DEGREES:.1f}°, so it is kept. By known headings:",
             )
-    said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
-    return HeadingResult(measurements, outcome, applies, said.replace(":.", ":"))
+    text = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
+    return HeadingResult(measurements, outcome, applies, text.replace(":.", ":"))
 
 
 def _without_repeated(

@@ -76,13 +76,13 @@ class ExternalHeading:
         return reference.declination if self.is_true else 0.0
 
 
-def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:
+def mean_heading(received: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:
     """Return the mean heading of a robot at rest; None without headings."""
-    if not heard:
+    if not received:
         return None
-    yaw = mean_angle(np.array([each.yaw for each in heard]))
+    yaw = mean_angle(np.array([each.yaw for each in received]))
     # The errors of a receiver's messages are correlated: averaging does not reduce the sigma.
-    return ExternalHeading(yaw, max(each.sigma for each in heard), is_true)
+    return ExternalHeading(yaw, max(each.sigma for each in received), is_true)
 
 
 METHOD = "known_headings"

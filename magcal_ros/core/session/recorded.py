@@ -81,7 +81,7 @@ class SampleCollector:
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
-        self.heard = [0, 0]
+        self.received = [0, 0]
         """Number of messages of IMU and field."""
         self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
@@ -102,7 +102,7 @@ class SampleCollector:
         if travel:
             self._replay = TravelReplay(travel)
         for reading in self._replay.readings(readings):
-            self.heard[isinstance(reading, FieldSample)] += 1
+            self.received[isinstance(reading, FieldSample)] += 1
             if reading is None:
                 streams.imu_drops[DropReason.ABSENT] += 1
             elif isinstance(reading, ImuSample):
@@ -137,7 +137,7 @@ class SampleCollector:
     def complaints(self) -> list[str]:
         """Return the faults of the messages in words."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
-        imu, field = map(InputCounts, self._topics, self.heard, drops)
+        imu, field = map(InputCounts, self._topics, self.received, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:
@@ -151,7 +151,7 @@ class SampleCollector:
         """
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
-            silent = [topic for topic, n in zip(self._topics, self.heard, strict=True) if not n]
+            silent = [topic for topic, n in zip(self._topics, self.received, strict=True) if not n]
             lost = f"no message of {' and '.join(silent)} could be used in the span that was read"
             why = self.complaints() or [lost if silent else NEVER_TOGETHER]
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *why]))

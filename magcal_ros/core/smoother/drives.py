@@ -183,8 +183,8 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
         shared = mean.copy()
         for which in (AT["gyro_bias"], EARTH):
             shared[which] = state.shared[which]
-        begun, held = replace(state, shared=shared), replace(priors, mean=mean)
-        return fit(inside, held, begun, KINDS[ON_WHEELS], TOLERANCES)
+        initial, held = replace(state, shared=shared), replace(priors, mean=mean)
+        return fit(inside, held, initial, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError:
         return None
 

@@ -150,9 +150,9 @@ def _begun(same: Fit, name: str, node: int) -> State:
     )
     attitude[node:] = chained(steps[None, node:])[0] @ attitude[node]
     local[node:, STREET] = 0.0
-    begun = replace(state, attitude=attitude, local=local, shared=shared)
-    residual = magnetic(same.point.course, begun, same.point.places).residual
+    changed = replace(state, attitude=attitude, local=local, shared=shared)
+    residual = magnetic(same.point.course, changed, same.point.places).residual
     if name == "entered":
         residual = np.einsum("nji,nj->ni", attitude, residual)
     shared[AT[name]] = np.median(residual[node + 1 :], axis=0)
-    return replace(begun, shared=shared)
+    return replace(changed, shared=shared)

@@ -13,7 +13,7 @@ from magcal_ros.core.simulation import DEGREE, Robot
 STRENGTH = 48e-6
 
 
-def outcome_of(iron, dip=65.0, told=None, wobble=0.0, seed=1, gyro=True):
+def outcome_of(iron, dip=65.0, reported=None, wobble=0.0, seed=1, gyro=True):
     """Calibrate a robot with a hard iron (µT) and a wrong reference inclination."""
     rng = np.random.default_rng(seed)
     robot = Robot(
@@ -21,8 +21,8 @@ def outcome_of(iron, dip=65.0, told=None, wobble=0.0, seed=1, gyro=True):
     )
     leans = smooth_wobble(rng, 500, 15.0, wobble * DEGREE, (0.05, 0.5)) if wobble else None
     window = measure(robot, turn(wobble=leans), rng, gyro=gyro)
-    told = dip if told is None else told
-    reference = ReferenceField(Belief(STRENGTH, 1.5e-6), Belief(told * DEGREE, DEGREE))
+    reported = dip if reported is None else reported
+    reference = ReferenceField(Belief(STRENGTH, 1.5e-6), Belief(reported * DEGREE, DEGREE))
     return calibrate(window, Knowledge(reference))
 
 

@@ -324,16 +324,16 @@ class TestWhatTheEstimateItselfShows:
     def test_a_board_that_is_not_upright_is_reported(self, axis, grade):
         check = grade_of(judge(estimate(axis=np.array(axis)), KNOWN), "axis_lean")
         assert check.grade is grade
-        told = "z points down or sideways at rest" in check.words
-        assert told == (grade.rank >= Grade.WARN.rank)
+        reported = "z points down or sideways at rest" in check.words
+        assert reported == (grade.rank >= Grade.WARN.rank)
 
     @pytest.mark.parametrize(("carried", "grade"), [(1.0, Grade.EXCELLENT), (0.0, Grade.WARN)])
     def test_a_gyro_that_measures_another_turn_warns(self, carried, grade):
         figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
         verdict = judge(estimate(figures=figures), KNOWN)
         assert verdict.quality is grade
-        told = "the turn that the gyro measured does not explain the samples" in verdict.summary
-        assert told == (grade is Grade.WARN)
+        reported = "the turn that the gyro measured does not explain the samples" in verdict.summary
+        assert reported == (grade is Grade.WARN)
 
     def test_a_radius_within_the_sigma_of_the_reference_is_no_fault(self):
         figures = {"radius_ratio": 1.2}
@@ -424,8 +424,8 @@ class TestNotShown:
         covariance[11, 11] = (3e-6) ** 2
         bad = estimate(figures={"heading_sigma": math.radians(2.5)}, covariance=covariance)
         verdict = judge(bad, KNOWN if known else Knowledge())
-        told = " ".join([grade_of(verdict, "heading_sigma").words, *verdict.not_shown])
-        assert ("give the reference field" in told) == (not known)
+        reported = " ".join([grade_of(verdict, "heading_sigma").words, *verdict.not_shown])
+        assert ("give the reference field" in reported) == (not known)
 
     def test_an_uncertain_axial_hard_iron_is_named_with_its_effect(self):
         covariance = np.zeros((12, 12))

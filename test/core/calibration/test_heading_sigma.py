@@ -124,9 +124,9 @@ class TestCommonFigures:
 
 class TestSidewaysAcceleration:
     @staticmethod
-    def window(pull=0.0, **motion):
+    def window(acceleration=0.0, **motion):
         one = measure(Robot(), turn(**motion), np.random.default_rng(3), gyro=True)
-        force = one.specific_force + np.array([pull * 9.81, 0.0, 0.0])
+        force = one.specific_force + np.array([acceleration * 9.81, 0.0, 0.0])
         return Window(one.time, one.field, force, one.angular_rate)
 
     @pytest.mark.parametrize(

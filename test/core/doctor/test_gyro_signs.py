@@ -62,7 +62,7 @@ def test_dead_axes_of_a_gyro_are_not_attributed_to_other_sensors(knowledge, sour
     rate[:, alive] = drive.rate[:, source]
     report = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
     assert report.mount_rpy_deg is None
-    said = {finding.name: finding.remedy for finding in report.findings if finding.is_wrong}
-    assert list(said) == ["gyro: axes alive"]
+    stated = {finding.name: finding.remedy for finding in report.findings if finding.is_wrong}
+    assert list(stated) == ["gyro: axes alive"]
     moved = f"and publishes the turn about z as {'xyz'[alive]}"
-    assert (moved in said["gyro: axes alive"]) == (alive != source)
+    assert (moved in stated["gyro: axes alive"]) == (alive != source)

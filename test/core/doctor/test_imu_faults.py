@@ -220,14 +220,14 @@ def test_a_turn_in_the_other_direction_is_no_fault_of_a_sensor():
 def test_good_sensors_of_other_robots_and_movements_have_no_fault(name):
     rng = np.random.default_rng([4, 3])
     report = report_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
-    said = {"bias of 2 °/s": {"gyro_bias"}, "half the field": {"reference"}}
+    stated = {"bias of 2 °/s": {"gyro_bias"}, "half the field": {"reference"}}
     if "clock" in name:
         # A field with growing latency; between starts and stops motors look the same.
         late = [each for each in report.findings if each.is_wrong]
         assert [each.key for each in late] in (["latency"], ["motors"])
         assert late[0].key == "latency" or "Late stamps of the field" in late[0].remedy
         return
-    assert wrong(report) == said.get(name, set())
+    assert wrong(report) == stated.get(name, set())
 
 
 MOTORS_HIDE = ("gyro_bias", "rate_scale", "reference", "axes")
@@ -294,9 +294,9 @@ def test_only_the_correcting_mounting_is_offered():
 
 def test_the_reference_of_another_place_is_named():
     case = good_case(np.random.default_rng([5, 12]), MOST_SEEN)
-    believed = case.knowledge.reference
-    dip = replace(believed.inclination, value=believed.inclination.value - math.radians(25.0))
-    elsewhere = replace(case, knowledge=Knowledge(replace(believed, inclination=dip)))
+    known = case.knowledge.reference
+    dip = replace(known.inclination, value=known.inclination.value - math.radians(25.0))
+    elsewhere = replace(case, knowledge=Knowledge(replace(known, inclination=dip)))
     (line,) = [f for f in report_of(elsewhere).findings if f.key == "reference"]
     assert line.is_wrong
     assert f"an inclination of {math.degrees(dip.value):.0f}°" in line.remedy
@@ -415,8 +415,8 @@ def test_after_a_turn_between_rests_motors_make_the_gyro_scale_unobservable():
     report = examine(SensorLog.of_window(replace(window, field=window.field + added)))
     lines = {finding.key: finding for finding in report.findings}
     assert lines["motors"].is_wrong
-    said = lines["rate_scale"].evidence
-    assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", said)
+    stated = lines["rate_scale"].evidence
+    assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", stated)
 
 
 def test_wrong_axes_of_the_imu_are_not_attributed_to_the_magnetometer():

@@ -45,10 +45,12 @@ def test_a_hand_held_swing_gives_no_fault_of_axes_or_unit():
     rate = 12.0 * moves * swing
     body = chained(exp_rotations(-0.01 * rate[1:])[None])[0]
     arm = np.array([0.15, 0.0, 0.0])
-    pull = np.cross(rate, np.cross(rate, arm))
-    force = body @ np.array([0.0, 0.0, 9.81]) + pull + 0.05 * rng.normal(size=pull.shape)
-    field = body @ np.array([0.0, 20e-6, -43e-6]) + 0.3e-6 * rng.normal(size=pull.shape)
-    log = SensorLog(time, force, rate + 2e-3 * rng.normal(size=pull.shape), time, field)
+    centripetal = np.cross(rate, np.cross(rate, arm))
+    force = (
+        body @ np.array([0.0, 0.0, 9.81]) + centripetal + 0.05 * rng.normal(size=centripetal.shape)
+    )
+    field = body @ np.array([0.0, 20e-6, -43e-6]) + 0.3e-6 * rng.normal(size=centripetal.shape)
+    log = SensorLog(time, force, rate + 2e-3 * rng.normal(size=centripetal.shape), time, field)
     lines = [f for f in examine(log).findings if f.name.startswith("accelerometer: u")]
     assert [f.key for f in lines] == ["force_unit", "gravity_sign"]
     assert not any(f.is_wrong for f in lines)

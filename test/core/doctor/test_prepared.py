@@ -19,9 +19,9 @@ def test_bursts_with_missing_ones_are_no_weak_field():
     rng = np.random.default_rng([5, 1])
     case = good_case(rng, "half minute")
     log = FAULTS["bursts of 1 s"][0](rng, case.log)
-    begun = log.imu_time[0]
+    start = log.imu_time[0]
     imu, field = (
-        (time - begun < 8.0) | (time - begun > 12.0) for time in (log.imu_time, log.field_time)
+        (time - start < 8.0) | (time - start > 12.0) for time in (log.imu_time, log.field_time)
     )
     log = SensorLog(
         log.imu_time[imu], log.force[imu], log.rate[imu], log.field_time[field], log.field[field]

@@ -182,12 +182,12 @@ def test_driving_backwards_right_after_forwards_is_detected(seed):
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("told", UNSIGNED.values(), ids=UNSIGNED)
-def test_the_direction_of_travel_is_correct_in_a_thousand_trips(told):
+def test_the_direction_of_travel_is_correct_in_a_thousand_trips(reported):
     wrong = undecided = trips = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
         legs = joined(city(rng, 100.0), reversing(rng, 20), parking(rng))
-        drive = driven(legs, seed, Vehicle(ROBOT, imu_yaw=0.4), **told)
+        drive = driven(legs, seed, Vehicle(ROBOT, imu_yaw=0.4), **reported)
         true, taken = directions(drive, 100.0)
         trips, wrong = trips + len(true), wrong + int((true * taken < 0.0).sum())
         undecided += int((taken == 0.0).sum())

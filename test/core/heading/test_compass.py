@@ -281,16 +281,16 @@ class TestMotors:
         up, field = seen(0.0, 0.0, 0.9, 1.0)
         raw = found.correction.undo(field)
         speed = 0.0 if math.isnan(doubt.speed) else doubt.speed
-        told = np.array([doubt.moving, speed]) @ found.motors.gain
+        reported = np.array([doubt.moving, speed]) @ found.motors.gain
         sure = self.heading(found, raw, up, AT_REST)
         which = int(math.isnan(doubt.speed))
         gain = found.correction.matrix @ found.motors.gain[which] * (0.7 if which else 0.5)
         east = np.cross(field, up)
         turned = float(east @ gain / (east @ east))
         known = replace(found.motors, covariance=np.zeros((6, 6)))
-        seen_so = self.heading(replace(found, motors=known), raw + told, up, doubt)
+        seen_so = self.heading(replace(found, motors=known), raw + reported, up, doubt)
         apart = seen_so.yaw_variance - seen_so.lasting_variance
-        unseen = UNSEEN_SIGMA * float(east @ found.correction.matrix @ told / (east @ east))
+        unseen = UNSEEN_SIGMA * float(east @ found.correction.matrix @ reported / (east @ east))
         expected = turned**2 + unseen**2
         assert apart - seen_so.noise_variance == pytest.approx(expected, rel=1e-6)
         assert seen_so.yaw == pytest.approx(sure.yaw)

@@ -337,7 +337,7 @@ def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
     fused = FusedYaw(CALIBRATED, PATIENCE)
     up, field = Up((0.0, 0.0, 1.0), 1e-4), CALIBRATED.strength * np.array([0.0, 0.4, -0.9])
     heading = Compass(CALIBRATED).heading(tuple(field), (0.0, 0.0, 1.0), 1e-4)
-    told, unknown = [0.0, 0.0], GyroBias((0.0, 0.0, 0.0), math.radians(0.5) ** 2)
+    reported, unknown = [0.0, 0.0], GyroBias((0.0, 0.0, 0.0), math.radians(0.5) ** 2)
     for k in range(3000):
         stamp = 100.0 + 0.02 * k
         # An unknown gyro bias of 0.3 °/s, while the robot stands.
@@ -348,10 +348,10 @@ def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
             missed = fused.take_heading(stamp, heading.yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
             assert missed < FUSION.heading_gate
         if k in (2500, 2999):
-            told[k == 2999] = abs(fused.heading().yaw - heading.yaw)
-    assert told[0] < math.radians(1.0)
+            reported[k == 2999] = abs(fused.heading().yaw - heading.yaw)
+    assert reported[0] < math.radians(1.0)
     # Ten seconds of silence would be 3° with the bias as it was.
-    assert told[1] < math.radians(2.0)
+    assert reported[1] < math.radians(2.0)
     assert fused.take_heading(200.0, heading.yaw + 1.0, 1e-4, (1.0, 0.0, 0.0)) is None
     last = 100.0 + 0.02 * 3000
     fused.propagate(last, up, (0.0, 0.0, 0.0))
@@ -416,8 +416,8 @@ def test_headings_that_drift_before_they_stop_enlarge_the_variance():
             fused.correct(100.0, field, up, compass)
         if k % 10 == 5 and since < 120.0:
             drift = math.radians(0.3) * max(0.0, since - 60.0)
-            told = 0.5 * math.pi + drift + math.radians(1.0) * rng.standard_normal()
-            fused.take_heading(100.0 + since, told, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+            reported = 0.5 * math.pi + drift + math.radians(1.0) * rng.standard_normal()
+            fused.take_heading(100.0 + since, reported, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
         if since >= 100.0:
             off.append(fused.heading().yaw - 0.5 * math.pi)
             sigma.append(math.sqrt(fused.heading().yaw_variance))
@@ -443,9 +443,9 @@ def test_headings_by_an_integrated_gyro_that_rests_contradict_enlarge_the_varian
         if k == 0:
             fused.correct(100.0, field, up, compass)
         if k % 10 == 5:
-            told = 0.5 * math.pi + math.radians(0.1) * since
-            told += math.radians(1.0) * rng.standard_normal()
-            fused.take_heading(100.0 + since, told, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+            reported = 0.5 * math.pi + math.radians(0.1) * since
+            reported += math.radians(1.0) * rng.standard_normal()
+            fused.take_heading(100.0 + since, reported, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
     off = fused.heading().yaw - 0.5 * math.pi
     assert abs(off) < 3.0 * math.sqrt(fused.heading().yaw_variance)
 

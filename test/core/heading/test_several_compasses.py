@@ -29,8 +29,8 @@ def calibration(robot, sigma=0.3e-6, off=(0.0, 0.0, 0.0), yaw=0.0):
     truth = dataclasses.replace(robot, yaw=-yaw).true_correction
     covariance = np.diag([0.0] * 9 + [sigma**2] * 3)
     correction = Correction(truth.matrix, truth.hard_iron + np.array(off))
-    told = (robot.noise_field, 0.005, robot.strength, robot.inclination, EVIDENCE)
-    return Calibration(correction, covariance, *told)
+    reported = (robot.noise_field, 0.005, robot.strength, robot.inclination, EVIDENCE)
+    return Calibration(correction, covariance, *reported)
 
 
 class Scene:
@@ -52,14 +52,14 @@ class Scene:
 
     def run(self, seconds, yaw_rate=0.0):
         """Go on; returns the new rows of stamp, error and sigma."""
-        begun, until = len(self.rows), self.ride.stamp + seconds
+        started, until = len(self.rows), self.ride.stamp + seconds
         while self.ride.stamp < until:
             for sample in self.ride.step(yaw_rate):
                 if isinstance(sample, ImuSample):
                     self.on_imu(sample)
                 else:
                     self.on_field(sample)
-        return np.array(self.rows[begun:])
+        return np.array(self.rows[started:])
 
     def on_imu(self, sample):
         self.imu = sample

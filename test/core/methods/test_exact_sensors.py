@@ -95,8 +95,8 @@ def test_a_wobble_determines_the_axial_hard_iron_within_its_sigma(wobble, worst)
         window = measure(
             robot, turn(start_rpy=(0.0, 0.0, rng.uniform(-3.0, 3.0)), wobble=lean), rng
         )
-        told = robot.knowledge(0.15 * robot.strength, 5.0 * DEGREE)
-        estimate = fit(window, told)
+        reported = robot.knowledge(0.15 * robot.strength, 5.0 * DEGREE)
+        estimate = fit(window, reported)
         error = estimate.correction.hard_iron[2] - robot.hard_iron[2]
         errors.append(error / robot.strength)
         ratios.append(error**2 / estimate.covariance[11, 11])

@@ -112,10 +112,10 @@ def test_a_wrong_inclination_is_within_its_given_sigma():
     robot = replace(Robot(), noise_field=1e-9, noise_force=1e-6)
     sigma = 2.0 * DEGREE
     window = measure(robot, turn(), np.random.default_rng(0))
-    believed = robot.knowledge(0.0, sigma)
+    assumed = robot.knowledge(0.0, sigma)
     off = replace(
-        believed,
-        reference=replace(believed.reference, inclination=Belief(robot.inclination + sigma, sigma)),
+        assumed,
+        reference=replace(assumed.reference, inclination=Belief(robot.inclination + sigma, sigma)),
     )
     estimate = fit(window, off)
     tilted = trial_attitudes()[:, 0]

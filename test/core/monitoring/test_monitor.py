@@ -40,17 +40,17 @@ def doubts(watch):
 )
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_a_drive_without_a_change_gives_no_warning(way, seed):
-    watch, said = monitored([ROBOT], [15 if seed > 1 else 8], way, seed=seed)
-    assert not any(word.is_stale for _, word in said)
-    assert said[-1][1].was_judged
+    watch, stated = monitored([ROBOT], [15 if seed > 1 else 8], way, seed=seed)
+    assert not any(word.is_stale for _, word in stated)
+    assert stated[-1][1].was_judged
     assert "holds" in watch.result.summary or "held" in watch.result.summary
 
 
 @pytest.mark.parametrize("gyro", first_of([False, True]))
 @pytest.mark.parametrize("shift", first_of([(2.5, 0.0), (-1.8, 1.8)]))
 def test_hard_iron_of_a_twentieth_of_the_field_is_found_with_its_size(shift, gyro):
-    watch, said = monitored([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
-    assert not any(word.is_stale for stamp, word in said if stamp < 1000.0 + 6 * 60.0)
+    watch, stated = monitored([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
+    assert not any(word.is_stale for stamp, word in stated if stamp < 1000.0 + 6 * 60.0)
     assert watch.result.is_stale
     assert "hard_iron_change" in doubts(watch)
     assert np.array(watch.result.hard_iron) * 1e6 == pytest.approx(shift, abs=0.5)
@@ -59,8 +59,8 @@ def test_hard_iron_of_a_twentieth_of_the_field_is_found_with_its_size(shift, gyr
 
 
 def test_a_small_change_gives_no_warning():
-    _, said = monitored([ROBOT, changed(1.0)], [5, 10])
-    assert not any(word.is_stale for _, word in said)
+    _, stated = monitored([ROBOT, changed(1.0)], [5, 10])
+    assert not any(word.is_stale for _, word in stated)
 
 
 @pytest.mark.parametrize(
@@ -95,17 +95,17 @@ def test_a_magnet_that_hides_the_headings_is_found_by_the_gyro():
 
 
 def test_the_warning_ends_when_the_field_returns():
-    watch, said = monitored([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
-    assert any(word.is_stale for _, word in said)
+    watch, stated = monitored([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
+    assert any(word.is_stale for _, word in stated)
     assert not watch.result.is_stale
 
 
 def test_a_rest_beside_a_car_is_no_change_and_later_there_is_no_data():
     watch = CalibrationMonitor(PROMISE)
     way = Route(parked=(300.0, 1500.0))
-    said = drive(watch, PROMISE, [ROBOT, changed(8.0, 5.0), ROBOT], [5, 20, 6], way)
-    assert not any(word.is_stale for _, word in said)
-    parked = [word for stamp, word in said if 2200.0 < stamp < 2490.0]
+    stated = drive(watch, PROMISE, [ROBOT, changed(8.0, 5.0), ROBOT], [5, 20, 6], way)
+    assert not any(word.is_stale for _, word in stated)
+    parked = [word for stamp, word in stated if 2200.0 < stamp < 2490.0]
     assert all("not enough" in word.missing_data for word in parked)
     assert "held when it was last judged" in parked[0].summary
 
@@ -151,9 +151,9 @@ def test_gaps_and_repeats_do_no_harm():
                 super().take(moment)
 
     watch = Holed(PROMISE)
-    said = drive(watch, PROMISE, [ROBOT], [14])
-    assert said[-1][1].was_judged
-    assert not any(word.is_stale for _, word in said)
+    stated = drive(watch, PROMISE, [ROBOT], [14])
+    assert stated[-1][1].was_judged
+    assert not any(word.is_stale for _, word in stated)
     assert PERIOD < 3.0
 
 

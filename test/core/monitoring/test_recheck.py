@@ -42,11 +42,11 @@ def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
 
 
 @pytest.mark.parametrize("said", [(), (LEVEL_ONLY,)])
-def test_one_made_without_a_position_holds_on_level_ground(said):
+def test_one_made_without_a_position_holds_on_level_ground(stated):
     """A turn shows it by its sigma on slopes, a drive by what it does not determine."""
     made = calibrate(window(), Knowledge()).calibration
-    if said:
-        unseen = (*made.evidence.not_shown, *said)
+    if stated:
+        unseen = (*made.evidence.not_shown, *stated)
         covariance = made.covariance.copy()
         covariance[11], covariance[:, 11] = 0.0, 0.0
         evidence = dataclasses.replace(made.evidence, not_shown=unseen)
@@ -56,7 +56,7 @@ def test_one_made_without_a_position_holds_on_level_ground(said):
     assert result.verdict.summary == "The calibration holds on level ground."
     (slopes,) = [words for words in result.verdict.not_shown if "slopes" in words]
     assert "made without a position" in slopes
-    assert ("or more" in slopes) is bool(said)
+    assert ("or more" in slopes) is bool(stated)
 
 
 @pytest.mark.parametrize("gyro", [True, False])
@@ -160,8 +160,8 @@ def test_every_bound_grades_from_holds_to_stale(bound):
 
 
 def test_the_keys_of_figures_are_unchanged(calibration):
-    told = {finding.key for finding in check(window(seed=2), calibration).findings}
-    assert told == {
+    reported = {finding.key for finding in check(window(seed=2), calibration).findings}
+    assert reported == {
         "heading_swing",
         "gyro_compass_rms",
         "strength_spread",

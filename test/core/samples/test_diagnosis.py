@@ -21,32 +21,32 @@ def streams(field_ahead=0.0, max_gap=0.2):
     return both
 
 
-def said(both=None, imu=None, mag=None):
+def stated(both=None, imu=None, mag=None):
     imu, mag = imu or InputCounts("/imu", 100), mag or InputCounts("/mag", 100)
     return complaints(both or streams(), imu, mag)
 
 
 def test_correct_streams_cause_no_complaint():
-    assert said() == []
+    assert stated() == []
 
 
 @pytest.mark.parametrize(
     "drop", [DropReason.NOT_FINITE, DropReason.ZERO, DropReason.BACKWARD_STAMP]
 )
 def test_dropped_samples_are_reported_with_topic_and_count(drop):
-    (words,) = said(imu=InputCounts("/imu", 100, Counter({drop: 7})))
+    (words,) = stated(imu=InputCounts("/imu", 100, Counter({drop: 7})))
     assert words.startswith("/imu: 7 of 100 ")
-    assert said(mag=InputCounts("/mag", 1000, Counter({drop: 7}))) == []
+    assert stated(mag=InputCounts("/mag", 1000, Counter({drop: 7}))) == []
 
 
 def test_an_imu_beyond_every_unit_is_reported():
-    (words,) = said(imu=InputCounts("/imu", 100, Counter({DropReason.TOO_LARGE: 50})))
+    (words,) = stated(imu=InputCounts("/imu", 100, Counter({DropReason.TOO_LARGE: 50})))
     assert "too large for an acceleration in m/s² or a rate in rad/s" in words
 
 
 @pytest.mark.parametrize("ahead", [-9.0, -1.5, 0.4, 0.6, 3.0, 86_400.0])
 def test_an_offset_between_stamps_is_reported(ahead):
-    (words,) = said(streams(ahead))
+    (words,) = stated(streams(ahead))
     assert f"{ahead:+.1f} s apart" in words
 
 
@@ -56,17 +56,17 @@ def test_bursts_are_reported_with_their_topic():
         read = 1e5 + k // 40 + 0.0025 * (k % 40)
         both.add_imu(ImuSample(1e5 + 0.025 * k, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
         both.add_field(FieldSample(read, (2e-5, 1e-9 * k, -4e-5)))
-    (words,) = said(both)
+    (words,) = stated(both)
     assert words.startswith("/mag: the stamps come in bursts, 0.90 s apart")
 
 
 @pytest.mark.parametrize("ahead", [-0.6, -0.05, 0.0, 0.05, 0.2])
 def test_a_late_or_slightly_early_field_causes_no_complaint(ahead):
-    assert said(streams(ahead)) == []
+    assert stated(streams(ahead)) == []
 
 
 def test_a_slow_imu_within_the_allowed_gap_causes_no_complaint():
-    assert said(streams(0.5, max_gap=0.5)) == []
+    assert stated(streams(0.5, max_gap=0.5)) == []
 
 
 @pytest.mark.parametrize("dies", [ImuSample, FieldSample])
@@ -77,18 +77,18 @@ def test_the_last_stamp_of_a_silent_sensor_shows_no_clock_offset(dies):
             both.add_imu(ImuSample(1e5 + 1.0 + k, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
         else:
             both.add_field(FieldSample(1e5 + 1.0 + k, (2e-5, 1e-9 * k, -4e-5)))
-    assert said(both) == []
+    assert stated(both) == []
 
 
 def test_an_earlier_fault_causes_no_complaint_later():
     then = InputCounts("/imu", 1000, Counter({DropReason.NOT_FINITE: 900}))
     now = InputCounts("/imu", 2000, Counter({DropReason.NOT_FINITE: 905}))
-    assert said(imu=now)
-    assert said(imu=now.since(then)) == []
+    assert stated(imu=now)
+    assert stated(imu=now.since(then)) == []
 
 
 def test_a_fault_after_a_long_correct_time_is_reported():
     then = InputCounts("/mag", 10**8, Counter({DropReason.ZERO: 3}))
     now = InputCounts("/mag", 10**8 + 3000, Counter({DropReason.ZERO: 3003}))
-    assert said(mag=now) == []
-    assert said(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]
+    assert stated(mag=now) == []
+    assert stated(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]

@@ -135,11 +135,11 @@ def test_the_latency_of_a_current_is_found_with_its_gain(late):
     gain, learning = np.array([3e-6, -4e-6, 1e-6]), MotorLearning(known())
     drive = list(driven(np.random.default_rng(2), {"current": gain}))
     for k, (stamp, raw, rate, now) in enumerate(drive):
-        told = drive[max(k - round(late / STEP), 0)][3].current if now.moving else 0.0
+        reported = drive[max(k - round(late / STEP), 0)][3].current if now.moving else 0.0
         beside = {each[3].moving for each in drive[max(k - 6, 0) : k + 7]}
         # Nobody knows exactly when a robot starts and stops.
         moving = now.moving if len(beside) == 1 else 0.5
-        learning.add(stamp, raw, rate, now._replace(current=told, moving=moving))
+        learning.add(stamp, raw, rate, now._replace(current=reported, moving=moving))
     found, sigma = learning.delay
     assert abs(found - late) < 4.0 * sigma + 0.02
     assert sigma < 0.03

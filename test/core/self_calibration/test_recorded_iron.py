@@ -25,12 +25,12 @@ LOOK = 1.0
 )
 def test_iron_on_a_city_drive_is_reported_within_a_minute(recording, size, way, lasts):
     drive = read_drive(recording("car_drive_neu2022_rahul"), None)
-    begun, _ = next(in_force(drive))
+    initial, _ = next(in_force(drive))
     iron = size * np.array([math.cos(way), math.sin(way), 0.0])
     first = drive.everything.time[0]
     replay = replay_drive(
         drive.knowledge,
-        begun,
+        initial,
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and CAME < each.stamp - first < CAME + lasts
@@ -40,6 +40,6 @@ def test_iron_on_a_city_drive_is_reported_within_a_minute(recording, size, way, 
         ),
         (),
     )
-    told = [at for at, made in replay.decisions if made.kind is DecisionKind.NOTICED]
-    assert bool(told) == bool(size)
-    assert all(at > CAME for at in told)
+    reported = [at for at, made in replay.decisions if made.kind is DecisionKind.NOTICED]
+    assert bool(reported) == bool(size)
+    assert all(at > CAME for at in reported)

@@ -363,16 +363,16 @@ def driven(seed, legs, **options):
     return simulated_drive(travel(legs, rng), rng, Vehicle(ROBOT), receiver=None, **options)
 
 
-def follow(drive, machine, told=lambda stamp: stamp):
+def follow(drive, machine, reported=lambda stamp: stamp):
     """Let the machine decide along a drive; returns its decisions with their seconds.
 
-    The machine is told other stamps than the true ones where `told` says so.
+    The machine is told other stamps than the true ones where `reported` says so.
     """
     made = []
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
-        imu = ImuSample(told(stamp), force, rate)
-        if machine.add(Pair(FieldSample(told(stamp), field), imu)):
+        imu = ImuSample(reported(stamp), force, rate)
+        if machine.add(Pair(FieldSample(reported(stamp), field), imu)):
             for decision in machine.note(examine_drive(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.is_change:
@@ -414,10 +414,10 @@ JUMPS = {
 @pytest.mark.parametrize("jump", JUMPS)
 def test_jumps_of_stamps_delay_self_calibration_by_at_most_a_minute(jump):
     drive = driven(5, city(np.random.default_rng(5), 360.0))
-    begun = float(drive.time[0])
+    started = float(drive.time[0])
     machines = [SelfCalibration(Mode.APPLY) for _ in range(2)]
     undisturbed = follow(drive, machines[0])
-    made = follow(drive, machines[1], lambda stamp: stamp + JUMPS[jump](stamp - begun))
+    made = follow(drive, machines[1], lambda stamp: stamp + JUMPS[jump](stamp - started))
     first, usual = (
         next(seconds for seconds, decision in each if decision.kind is DecisionKind.APPLIED)
         for each in (made, undisturbed)
@@ -431,8 +431,8 @@ def test_a_magnet_of_less_than_a_minute_is_reported():
     drive = driven(2, city(np.random.default_rng(4), 75.0), irons=(magnet,))
     machine = SelfCalibration(Mode.APPLY)
     machine.put_in_force(calibration())
-    told = [at for at, made in follow(drive, machine) if made.kind is DecisionKind.NOTICED]
-    assert 30.0 < told[0] < 70.0
+    reported = [at for at, made in follow(drive, machine) if made.kind is DecisionKind.NOTICED]
+    assert 30.0 < reported[0] < 70.0
 
 
 @pytest.mark.nightly

@@ -56,7 +56,7 @@ class Scene:
         self.mangle = lambda sample: sample
         self.listeners, self.is_allowed, self.is_guarded = 1, True, True
         self.command = self.rate = self.turned = self.farthest = self.swept = 0.0
-        self.said, self.concluded, self.asked, self.in_force = [], [], [], []
+        self.stated, self.concluded, self.asked, self.in_force = [], [], [], []
         self.fit_takes, self.preview_takes, self.saving_takes = 0.3, 0.2, 0.05
         self._later = []
         self._steps = count()
@@ -80,7 +80,7 @@ class Scene:
                 self.concluded.append(command)
             elif isinstance(command, MoveBase):
                 self.command = command.rate
-                self.said.append((self.now, command.rate))
+                self.stated.append((self.now, command.rate))
             elif isinstance(command, PutInForce):
                 self.in_force.append(command.calibration)
                 self.later(self.saving_takes, "note_saved", "In force and saved.")
@@ -165,7 +165,7 @@ class Scene:
     def assert_stopped_and_silent(self):
         """The last commands are several zeros, and then none."""
         self.live(1.5)
-        assert [rate for _, rate in self.said[-5:]] == [0.0] * 5
-        heard = len(self.said)
+        assert [rate for _, rate in self.stated[-5:]] == [0.0] * 5
+        received = len(self.stated)
         self.live(2.0)
-        assert len(self.said) == heard
+        assert len(self.stated) == received

@@ -24,8 +24,8 @@ def test_a_heading_that_contradicts_the_gyro_is_reported(read, named):
     for k in range(600):
         turn = 0.1 * 0.7 * math.sin(0.05 * k)
         yaw += turn
-        told = read(yaw) + math.radians(0.05) * rng.standard_normal()
-        check.add(100.0 + 0.1 * k, math.remainder(told, math.tau), yaw)
+        reported = read(yaw) + math.radians(0.05) * rng.standard_normal()
+        check.add(100.0 + 0.1 * k, math.remainder(reported, math.tau), yaw)
     assert (named in check.fault) if named else not check.fault
 
 

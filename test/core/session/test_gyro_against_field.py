@@ -44,34 +44,34 @@ def drive(seed, speed=0.5, gain=1.0, noise=0.5e-6, soft_iron=0.0, radius=20e-6, 
     ids=str,
 )
 def test_a_correct_gyro_is_never_rejected(seed, world):
-    rate, angle, told, level, rng = drive(seed, **world)
+    rate, angle, reported, level, rng = drive(seed, **world)
     gyro = angle + np.cumsum(0.003 * rng.standard_normal(len(rate)) + 0.01) / RATE
     for end in range(20, len(rate), 25):
-        assert not objection_to_gyro(gyro[:end], told[:end], level[:end])
+        assert not objection_to_gyro(gyro[:end], reported[:end], level[:end])
 
 
 @pytest.mark.parametrize("seed", first_of(range(6)))
 @pytest.mark.parametrize("hangs_at", [0.0, 0.1, 0.2])
 @pytest.mark.parametrize("world", [{}, {"gain": 0.8}, {"noise": 1e-6}], ids=str)
 def test_a_frozen_gyro_is_rejected_within_a_quarter_turn(seed, hangs_at, world):
-    rate, _, told, level, _ = drive(seed, **world)
+    rate, _, reported, level, _ = drive(seed, **world)
     gyro = np.cumsum(np.minimum(rate, hangs_at)) / RATE
-    end = int(np.searchsorted(told, math.radians(100.0)))
-    found = [objection_to_gyro(gyro[:k], told[:k], level[:k]) for k in range(20, end, 12)]
+    end = int(np.searchsorted(reported, math.radians(100.0)))
+    found = [objection_to_gyro(gyro[:k], reported[:k], level[:k]) for k in range(20, end, 12)]
     assert any("the field turned by" in words for words in found) or hangs_at == 0.2
-    late = int(np.searchsorted(told, math.radians(330.0)))
-    assert objection_to_gyro(gyro[:late], told[:late], level[:late])
+    late = int(np.searchsorted(reported, math.radians(330.0)))
+    assert objection_to_gyro(gyro[:late], reported[:late], level[:late])
 
 
 def test_a_gyro_that_measures_a_turn_of_a_robot_at_rest_is_rejected():
-    _, _, told, level, _ = drive(1, gain=0.0)
-    assert "the field did not change" in objection_to_gyro(told, told, level)
+    _, _, reported, level, _ = drive(1, gain=0.0)
+    assert "the field did not change" in objection_to_gyro(reported, reported, level)
 
 
 def test_without_enough_samples_there_is_no_objection():
-    _, angle, told, level, _ = drive(1)
-    assert not objection_to_gyro(angle[:5], told[:5], level[:5])
-    assert not objection_to_gyro(0.0 * angle[:40], told[:40], level[:40])
+    _, angle, reported, level, _ = drive(1)
+    assert not objection_to_gyro(angle[:5], reported[:5], level[:5])
+    assert not objection_to_gyro(0.0 * angle[:40], reported[:40], level[:40])
 
 
 def test_the_fit_finds_the_circle():

@@ -96,7 +96,7 @@ def test_the_memory_for_hours_of_samples_is_bounded(monkeypatch):
     kept = collector.window()
     assert TUNING.largest_buffer // 8 < len(kept) <= TUNING.largest_buffer
     assert kept.time[-1] == stamps[-1]
-    assert collector.heard == [30_000, 30_000]
+    assert collector.received == [30_000, 30_000]
 
 
 def test_field_may_be_recorded_before_or_after_its_imu_samples():
@@ -139,7 +139,7 @@ class TestRefusals:
 
     @pytest.mark.nightly
     def test_the_remedy_for_wrong_axes_does_not_ask_for_a_given_place(self):
-        def said(knowledge):
+        def stated(knowledge):
             swapped = (
                 s._replace(rate=s.rate[::-1]) if isinstance(s, ImuSample) else s
                 for s in drive(400.0)
@@ -147,8 +147,8 @@ class TestRefusals:
             return fit_collected(gathered(swapped), knowledge).verdict.summary
 
         asked = "give the place or the field's inclination"
-        assert asked in said(Knowledge())
-        assert asked not in said(knowledge_of(48.0, inclination_deg=65.0))
+        assert asked in stated(Knowledge())
+        assert asked not in stated(knowledge_of(48.0, inclination_deg=65.0))
 
     def test_every_reason_of_little_data_can_be_avoided_by_more_data(self):
         assert all(fitted(drive(arc)).reason in LITTLE_DATA for arc in (0.0, 10.0, 30.0))
@@ -199,7 +199,7 @@ class TestRecordings:
     @pytest.mark.nightly
     def test_a_span_of_the_hand_held_recording_is_one_turn(self, recording):
         collector = self.read(recording("broad05"), start=48.0, stop=62.0)
-        assert collector.heard == pytest.approx([1333, 1333], abs=2)
+        assert collector.received == pytest.approx([1333, 1333], abs=2)
         assert collector.progress().coverage.is_complete
         outcome = fit_collected(collector, Knowledge())
         assert len(outcome.verdict.summary) > 40

@@ -20,7 +20,7 @@ MOTORS = MotorField(
 )
 
 
-def told():
+def reported():
     """Readings without and with motors, speeds of wheels, and currents."""
     ride = Ride(ROBOT, np.random.default_rng(1), start=100.0, imu_rate=50.0)
     clean, loud, speeds, currents = [], [], [], []
@@ -43,7 +43,7 @@ def fields(readings):
 
 
 def test_the_fields_by_speed_current_and_motion_are_subtracted():
-    clean, loud, speeds, currents = told()
+    clean, loud, speeds, currents = reported()
     known = replace(KNOWN, motors=MOTORS)
     found = list(without_motors(loud, known, speeds, currents))
     assert len(found) == len(loud)
@@ -53,5 +53,5 @@ def test_the_fields_by_speed_current_and_motion_are_subtracted():
 
 
 def test_a_calibration_without_motors_changes_nothing():
-    _, loud, speeds, currents = told()
+    _, loud, speeds, currents = reported()
     assert list(without_motors(loud, KNOWN, speeds, currents)) == loud

@@ -36,7 +36,7 @@ def test_the_robot_turns_once_each_way_and_ends_at_its_first_heading():
     conclusion = scene.until_concluded()
     assert conclusion.success, conclusion.message
     scene.assert_stopped_and_silent()
-    rates = np.array([rate for _, rate in scene.said])
+    rates = np.array([rate for _, rate in scene.stated])
     assert (rates.max(), rates.min()) == (SPEED, -SPEED)
     assert np.abs(np.diff(rates)).max() < 0.5 * 0.1
     assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
@@ -56,7 +56,7 @@ def test_there_is_no_command_before_both_sensors_and_a_base_are_present():
     scene.live(2.0)
     scene.mangle, scene.listeners = (lambda sample: sample), 0
     scene.live(0.5)
-    assert not scene.said
+    assert not scene.stated
     scene.listeners = 1
     scene.until_moving()
 
@@ -65,7 +65,7 @@ def test_a_missing_subscription_of_the_commands_is_reported_with_the_topic():
     scene = robot()
     scene.listeners = 0
     assert "nothing subscribes to /cmd_vel" in scene.until_concluded(5.0).message
-    assert not scene.said
+    assert not scene.stated
 
 
 def test_without_a_guard_the_turn_does_not_start_and_the_reason_is_given():
@@ -73,14 +73,14 @@ def test_without_a_guard_the_turn_does_not_start_and_the_reason_is_given():
     scene.is_guarded = False
     words = scene.until_concluded(20.0).message
     assert words.startswith("the robot does not start to turn: the guard")
-    assert not scene.said
+    assert not scene.stated
 
 
 def test_the_turn_waits_for_a_slow_guard():
     scene = robot()
     scene.is_guarded = False
     scene.live(5.0)
-    assert not scene.said
+    assert not scene.stated
     scene.is_guarded = True
     assert scene.until_concluded().success
 
@@ -88,7 +88,7 @@ def test_the_turn_waits_for_a_slow_guard():
 def test_the_robot_first_stands_still_so_that_a_rest_is_measured():
     scene = robot()
     scene.live(TUNING.stands_first - 0.3)
-    assert not scene.said
+    assert not scene.stated
     assert scene.until_concluded().success
     assert scene.turn.last_window.rests[0].seconds > TUNING.stands_first - 1.0
 
@@ -161,7 +161,7 @@ def test_a_fault_of_the_conditions_stops_only_a_robot_that_turns_itself():
     scene = robot()
     scene.until_moving()
     scene.tell("stop_robot", "an error in a callback", scene.now)
-    assert scene.said[-1] == (scene.now, 0.0)
+    assert scene.stated[-1] == (scene.now, 0.0)
     assert scene.conclusion.message.startswith("the robot was stopped: an error in a callback")
     scene.assert_stopped_and_silent()
     by_hand = Scene()
@@ -184,7 +184,7 @@ def test_ending_the_turn_stops_the_robot_immediately(event):
     scene = robot()
     scene.until_moving()
     scene.tell(event, *([scene.now] if event == "finish" else []))
-    assert scene.said[-1] == (scene.now, 0.0)
+    assert scene.stated[-1] == (scene.now, 0.0)
     scene.assert_stopped_and_silent()
 
 
@@ -195,7 +195,7 @@ def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
     scene.live(0.1)
     assert scene.open().success
     scene.until_moving()
-    rates = [rate for _, rate in scene.said]
+    rates = [rate for _, rate in scene.stated]
     assert rates[rates.index(0.0) :][: TUNING.zeros] == [0.0] * TUNING.zeros
     scene.live(60.0, stop=lambda: len(scene.concluded) > 1)
     assert scene.conclusion.success
@@ -295,7 +295,7 @@ class TestBounds:
         conclusion = scene.until_concluded(200.0)
         commanded = sum(
             abs(rate) * (after - before)
-            for (before, rate), (after, _) in zip(scene.said, scene.said[1:], strict=False)
+            for (before, rate), (after, _) in zip(scene.stated, scene.stated[1:], strict=False)
         )
         assert commanded < 1.55 * 2.0 * math.tau
         assert not conclusion.success
@@ -305,16 +305,16 @@ class TestBounds:
         scene = robot(gain=0.75, timeout=29.0)
         conclusion = scene.until_concluded(60.0)
         assert "did not complete its turn in time" in conclusion.message
-        assert scene.said[-1][1] == 0.0
+        assert scene.stated[-1][1] == 0.0
 
     @pytest.mark.parametrize("phase", [3.0, 15.0])
     def test_after_a_pause_of_the_supervision_the_robot_is_stopped(self, phase):
         scene = robot()
         scene.live(phase)
-        before = len(scene.said)
+        before = len(scene.stated)
         scene.freeze(12.9)
         scene.live(0.2)
-        assert [rate for _, rate in scene.said[before:]] == [0.0] * (len(scene.said) - before)
+        assert [rate for _, rate in scene.stated[before:]] == [0.0] * (len(scene.stated) - before)
         assert "too busy to supervise the robot for 1" in scene.conclusion.message
         scene.assert_stopped_and_silent()
 

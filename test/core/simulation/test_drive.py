@@ -128,18 +128,18 @@ def test_fixes_are_late_and_missing_in_an_outage(rng):
 def test_faults_of_wheels_are_simulated(rng):
     legs = reversing(rng, 4, share=0.5)
 
-    def said(**faults):
+    def stated(**faults):
         wheels = Wheels(noise=0.0, step=0.0, delay=0.0, **faults)
         drive = driven(rng, legs, wheels=wheels)
         speeds = np.array([s.speed for s in drive.speeds])
         stamps = np.array([s.stamp for s in drive.speeds])
         return speeds, np.interp(stamps, drive.time, drive.truth.speed)
 
-    speeds, truth = said()
+    speeds, truth = stated()
     assert speeds == pytest.approx(truth)
-    speeds, truth = said(scale=3.6, is_signed=False)
+    speeds, truth = stated(scale=3.6, is_signed=False)
     assert speeds == pytest.approx(3.6 * np.abs(truth))
-    speeds, _ = said(frozen_from=20.0)
+    speeds, _ = stated(frozen_from=20.0)
     assert np.ptp(speeds[401:]) == 0.0
 
 

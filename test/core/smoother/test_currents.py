@@ -11,7 +11,7 @@ from magcal_ros.core.smoother import Clock, Currents
 STAMPS = np.arange(0.0, 10.0, 0.125)
 
 
-def told(current):
+def reported(current):
     return list(zip(STAMPS.tolist(), np.asarray(current, dtype=float).tolist(), strict=True))
 
 
@@ -30,7 +30,7 @@ def clock(battery, starts=(), stops=()):
 
 
 def test_the_mean_of_a_node_allows_for_the_latency_of_the_current():
-    battery = battery_of(told(pulse(STAMPS)), 0.5, 9.5)
+    battery = battery_of(reported(pulse(STAMPS)), 0.5, 9.5)
     begin = np.arange(1.0, 9.0, 0.6)
     currents = Currents(battery, clock(battery), begin, begin + 0.6)
     for delay in (0.0, 0.1, 0.37, -0.2):
@@ -43,7 +43,7 @@ def test_the_mean_of_a_node_allows_for_the_latency_of_the_current():
 
 
 def test_a_rest_beside_the_turn_has_its_own_mean():
-    battery = battery_of(told(pulse(STAMPS)), 0.5, 9.5)
+    battery = battery_of(reported(pulse(STAMPS)), 0.5, 9.5)
     currents = Currents(battery, clock(battery), np.array([4.0]), np.array([6.0]))
     currents = currents.with_rest(0, 1.0, 2.0)
     mean = currents.at(0.0)
@@ -123,19 +123,19 @@ def test_every_series_of_messages_gives_means_and_variances(name, size, gap):
 def test_the_least_current_is_the_reference_without_fed_back_current():
     current = np.where(STAMPS < 3.0, -0.5, -4.0)
     current[50:52] = [0.0, 2.0]
-    assert battery_of(told(current), 0.5, 9.5).reference == -0.5
+    assert battery_of(reported(current), 0.5, 9.5).reference == -0.5
 
 
 @pytest.mark.parametrize(
     "messages",
     [
         [],
-        told(0.0 * STAMPS),
-        told(np.full(len(STAMPS), -1.2)),
-        told(np.full(len(STAMPS), math.nan)),
-        told(pulse(STAMPS))[:-20],
-        told(pulse(STAMPS))[20:],
-        told(pulse(STAMPS))[:30] + told(pulse(STAMPS))[45:],
+        reported(0.0 * STAMPS),
+        reported(np.full(len(STAMPS), -1.2)),
+        reported(np.full(len(STAMPS), math.nan)),
+        reported(pulse(STAMPS))[:-20],
+        reported(pulse(STAMPS))[20:],
+        reported(pulse(STAMPS))[:30] + reported(pulse(STAMPS))[45:],
     ],
 )
 def test_a_current_with_gaps_is_not_used(messages):
@@ -143,7 +143,7 @@ def test_a_current_with_gaps_is_not_used(messages):
 
 
 def test_turns_share_a_reference():
-    one = battery_of(told(pulse(STAMPS)), 0.5, 9.5)
-    other = battery_of(told(pulse(STAMPS) - 1.0), 0.5, 9.5)
+    one = battery_of(reported(pulse(STAMPS)), 0.5, 9.5)
+    other = battery_of(reported(pulse(STAMPS) - 1.0), 0.5, 9.5)
     assert [b.reference for b in with_one_reference([other, one])] == [one.reference] * 2
     assert with_one_reference([one, None]) == [None, None]

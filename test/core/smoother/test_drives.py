@@ -67,10 +67,10 @@ def fit_of(log, knowledge):
 
 def test_a_drive_gives_the_calibration_within_its_sigma(drive, fitted):
     error = heading_error(fitted.posterior.correction, drive.vehicle.robot)
-    said = math.degrees(fitted.posterior.heading_sigma)
+    stated = math.degrees(fitted.posterior.heading_sigma)
     assert error < 3.0
-    assert said < 3.0
-    assert error < 2.5 * said
+    assert stated < 3.0
+    assert error < 2.5 * stated
     assert fitted.fit.converged
     assert fitted.sectors >= 6
 
@@ -91,9 +91,9 @@ def test_a_drive_sampled_once_a_second_is_fitted_within_its_sigma(drive):
 
     window = Window(*map(thinned, (drive.time, drive.field, drive.force, drive.rate)))
     estimate = fit(window, BOSTON)
-    error, said = heading_error(estimate.correction, vehicle.robot), calibration_sigma(estimate)
-    assert said < math.radians(5.0)
-    assert error < 2.0 * math.degrees(said)
+    error, stated = heading_error(estimate.correction, vehicle.robot), calibration_sigma(estimate)
+    assert stated < math.radians(5.0)
+    assert error < 2.0 * math.degrees(stated)
 
 
 @pytest.mark.nightly
@@ -230,10 +230,10 @@ def weak_motion(seconds, turns, soft_iron, seed):
 @pytest.mark.parametrize("soft_iron", first_of([PAPER_SOFT_IRON, np.zeros((3, 3))]))
 def test_two_minutes_of_weak_motion_have_a_correct_sigma(turns, soft_iron):
     """A robot that sways on the spot is not taken to drive."""
-    error, said = weak_motion(120.0, turns, soft_iron, 1)
+    error, stated = weak_motion(120.0, turns, soft_iron, 1)
     assert error < 0.6
-    assert error < 2.5 * said
-    assert said < 0.6
+    assert error < 2.5 * stated
+    assert stated < 0.6
 
 
 @pytest.mark.nightly
@@ -242,9 +242,9 @@ def test_two_minutes_of_weak_motion_have_a_correct_sigma(turns, soft_iron):
 @pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
 @pytest.mark.parametrize("seconds", [120.0, 600.0])
 def test_weak_motion_has_a_correct_sigma_over_many_windows(seconds, turns, soft_iron):
-    errors, said = np.array([weak_motion(seconds, turns, soft_iron, k) for k in range(20)]).T
+    errors, stated = np.array([weak_motion(seconds, turns, soft_iron, k) for k in range(20)]).T
     assert math.sqrt(np.mean(errors**2)) < 0.45
-    assert np.mean((errors / said) ** 2) < 2.0
+    assert np.mean((errors / stated) ** 2) < 2.0
 
 
 def test_slow_driving_in_a_street_has_a_correct_sigma():
@@ -252,9 +252,9 @@ def test_slow_driving_in_a_street_has_a_correct_sigma():
     drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
     found = fit_to(drive)
     error = heading_error(found.posterior.correction, drive.vehicle.robot)
-    said = math.degrees(found.posterior.heading_sigma)
-    assert error < 2.5 * said
-    assert said > 1.0
+    stated = math.degrees(found.posterior.heading_sigma)
+    assert error < 2.5 * stated
+    assert stated > 1.0
 
 
 def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
@@ -272,16 +272,16 @@ def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
 @pytest.mark.parametrize("seconds", [120.0, 300.0])
 @pytest.mark.parametrize("speed", [False, True])
 def test_the_sigma_is_correct_over_many_drives(seconds, speed):
-    errors, said = [], []
+    errors, stated = [], []
     for seed in range(100):
         drive = driven(seed, seconds)
         found = fit_to(drive, speed=speed)
         errors.append(heading_error(found.posterior.correction, drive.vehicle.robot))
-        said.append(math.degrees(found.posterior.heading_sigma))
-    wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, said))
+        stated.append(math.degrees(found.posterior.heading_sigma))
+    wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, stated))
     assert wrong < (3.0 if seconds > 200.0 else 4.5)
     assert 1.0 / 1.5 < wrong / predicted < 1.5
-    assert 0.3 < np.mean((np.array(errors) / said) ** 2) < 2.0
+    assert 0.3 < np.mean((np.array(errors) / stated) ** 2) < 2.0
 
 
 @pytest.mark.nightly

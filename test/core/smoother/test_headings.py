@@ -40,14 +40,14 @@ def measurements(
         tilt = (0.0, 0.0) if rng is None else 2.0 * DEGREE * rng.standard_normal(2)
         pose = rotation_from_rpy(*tilt, yaw).T
         here = field_in_enu(robot.strength, robot.inclination)
-        told = yaw
+        reported = yaw
         if rng is not None:
             here = here + place * rng.standard_normal(3)
-            told = yaw + SIGMA * rng.standard_normal()
+            reported = yaw + SIGMA * rng.standard_normal()
         field = robot.raw_field((pose @ here)[None])[0]
         force = STANDARD_GRAVITY * pose[:, 2]
         found.append(
-            KnownHeadingMeasurement(field, force, wrapped(told), SIGMA, by_declination=is_true)
+            KnownHeadingMeasurement(field, force, wrapped(reported), SIGMA, by_declination=is_true)
         )
     return found
 
@@ -118,14 +118,20 @@ def by_antennas(seed, drift):
     yaws = np.cumsum(rng.choice([0.0, 0.0, 0.5 * math.pi, -0.5 * math.pi], 40))
     off, here, kept = drift * DEGREE * rng.standard_normal(), 1e-6 * rng.standard_normal(3), []
     for k, yaw in enumerate(yaws):
-        (told,) = measurements([yaw], rng, 0.0, robot)
+        (reported,) = measurements([yaw], rng, 0.0, robot)
         here = math.exp(-1.0) * here + 1e-6 * 0.93 * rng.standard_normal(3)
         off = math.exp(-0.05) * off + drift * DEGREE * 0.31 * rng.standard_normal()
-        bent = told.field + robot.distortion @ rotation_from_rpy(0.0, 0.0, yaw).T @ here
+        bent = reported.field + robot.distortion @ rotation_from_rpy(0.0, 0.0, yaw).T @ here
         turned = yaw - yaws[k - 1] + 5.0 * bias + 0.2 * DEGREE * rng.standard_normal()
         by_gyro = {"turned": turned, "turned_sigma": 0.3 * DEGREE} if k else {}
         kept.append(
-            replace(told, field=bent, heading=wrapped(told.heading + off), distance=30.0, **by_gyro)
+            replace(
+                reported,
+                field=bent,
+                heading=wrapped(reported.heading + off),
+                distance=30.0,
+                **by_gyro,
+            )
         )
         kept[-1] = replace(kept[-1], seconds=5.0 if k else 0.0, drifts=True)
     return robot, kept
@@ -142,10 +148,10 @@ def test_drifting_headings_enlarge_the_sigma_and_correct_ones_hardly(drift, seed
         found = fit_headings(kept, knowledge(), SIZES["street"]).posterior
         squares.append((np.mean(off(found.correction, robot) ** 2), found.heading_sigma**2))
     # Whether one drifts is certain in few runs: all of them together are held against sigma.
-    off_by, said = np.mean(squares, axis=0)
-    assert off_by < 1.5 * said
+    off_by, stated = np.mean(squares, axis=0)
+    assert off_by < 1.5 * stated
     if not drift:
-        assert said < (0.9 * DEGREE) ** 2
+        assert stated < (0.9 * DEGREE) ** 2
 
 
 def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
@@ -153,15 +159,15 @@ def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
     squares = []
     for seed in range(86_200, 86_202):
         robot, kept = by_antennas(seed, 0.0)
-        told = [
+        reported = [
             replace(each, heading=wrapped(each.heading + 0.6 * DEGREE * k))
             for k, each in enumerate(kept)
         ]
-        found = fit_headings(told, knowledge(), SIZES["street"]).posterior
+        found = fit_headings(reported, knowledge(), SIZES["street"]).posterior
         squares.append((np.mean(off(found.correction, robot) ** 2), found.heading_sigma**2))
-    off_by, said = np.mean(squares, axis=0)
+    off_by, stated = np.mean(squares, axis=0)
     assert off_by < (2.5 * DEGREE) ** 2
-    assert off_by < 1.5 * said
+    assert off_by < 1.5 * stated
 
 
 @pytest.mark.parametrize(
@@ -175,28 +181,28 @@ def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
     ],
 )
 def test_wrongly_interpreted_headings_are_named(read, named):
-    told = [replace(each, heading=wrapped(read(each.heading))) for each in measurements()]
+    reported = [replace(each, heading=wrapped(read(each.heading))) for each in measurements()]
     with pytest.raises(Refusal, match=named) as refusal:
-        fit(told, knowledge())
+        fit(reported, knowledge())
     assert refusal.value.reason is Reason.HEADING_CONTRADICTED
 
 
 def test_the_heading_that_contradicts_the_others_is_named():
-    told = measurements()
-    told[1] = replace(told[1], heading=told[1].heading + 0.7)
+    reported = measurements()
+    reported[1] = replace(reported[1], heading=reported[1].heading + 0.7)
     with pytest.raises(Refusal, match="Known heading 2 of 3"):
-        fit(told, knowledge())
+        fit(reported, knowledge())
 
 
 def test_a_gyro_that_measured_another_turn_is_named():
-    told = measurements()
+    reported = measurements()
     for k in (1, 2):
-        turned = wrapped(told[k].heading - told[k - 1].heading)
-        told[k] = replace(told[k], turned=turned, turned_sigma=2.0 * DEGREE)
-    fit(told, knowledge())
-    told[2] = replace(told[2], turned=-told[2].turned)
+        turned = wrapped(reported[k].heading - reported[k - 1].heading)
+        reported[k] = replace(reported[k], turned=turned, turned_sigma=2.0 * DEGREE)
+    fit(reported, knowledge())
+    reported[2] = replace(reported[2], turned=-reported[2].turned)
     with pytest.raises(Refusal, match="Between known headings 2 and 3"):
-        fit(told, knowledge())
+        fit(reported, knowledge())
 
 
 def test_magnetic_headings_given_as_true_are_reported():

@@ -190,10 +190,10 @@ def test_a_swaying_turn_sampled_once_a_second_is_refused(every, monkeypatch):
 
 def test_a_fit_reports_its_progress():
     window = measure(ROBOT, turn(duration=20.0), np.random.default_rng(3), gyro=True)
-    told: list[float] = []
-    assert calibrate(window, known(ROBOT), progress=told.append).verdict.accepted
-    assert told == sorted(told)
-    assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0
+    reported: list[float] = []
+    assert calibrate(window, known(ROBOT), progress=reported.append).verdict.accepted
+    assert reported == sorted(reported)
+    assert 0.0 <= reported[0] < 0.1 < 0.25 < reported[-1] <= 1.0
 
 
 def test_steps_are_shortened_after_a_loss_of_evidence():

@@ -89,8 +89,8 @@ def swaying(height: float, seed: int) -> Window:
     window = measure(ROBOT, motion, rng)
     moved = np.gradient(height * motion.attitude[:, 2], motion.time, axis=0)
     shaken = np.gradient(moved, motion.time, axis=0)
-    pull = np.einsum("nij,nj->ni", motion.attitude, shaken)
-    return replace(window, specific_force=window.specific_force + pull)
+    acceleration = np.einsum("nij,nj->ni", motion.attitude, shaken)
+    return replace(window, specific_force=window.specific_force + acceleration)
 
 
 @pytest.mark.nightly

@@ -134,9 +134,9 @@ def test_the_bias_at_rest_is_available_after_a_rest_only(bias):
     course.circle(15.0)
     assert follow.gyro_at_rest is None
     course.go(10.0)
-    told = follow.gyro_at_rest
-    assert np.abs(np.array(told.rate) - np.radians(bias)).max() < 1e-3
-    assert 0.0 < told.sigma < 1e-3
+    reported = follow.gyro_at_rest
+    assert np.abs(np.array(reported.rate) - np.radians(bias)).max() < 1e-3
+    assert 0.0 < reported.sigma < 1e-3
     course.go(1.0, acceleration=2.0 * FORWARD)
     course.circle(30.0)
     assert np.abs(np.array(follow.gyro_at_rest.rate) - np.radians(bias)).max() < 3e-3
@@ -207,14 +207,14 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_up():
     def listen(sample, ride):
         if isinstance(sample, ImuSample):
             noise = 0.15 * rng.standard_normal(3)
-            errors.take(sample, ride, linear_acceleration=tuple(1.03 * pull + noise))
+            errors.take(sample, ride, linear_acceleration=tuple(1.03 * linear + noise))
         printable(sample, ride)
 
     course = Course(listen, rate=50.0)
     for _ in range(6):
         for forward, rate in ((2.0, 0.0), (0.3, 0.4), (-1.5, 0.0), (-0.8, -0.3)):
-            pull = forward * FORWARD + 4.0 * rate * LEFT
-            course.go(2.5, acceleration=pull, yaw_rate=rate)
+            linear = forward * FORWARD + 4.0 * rate * LEFT
+            course.go(2.5, acceleration=linear, yaw_rate=rate)
     assert np.percentile(errors.errors, 90) <= 3.0
     assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(printable.errors, 90)
 

@@ -55,7 +55,7 @@ def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
 
 
 @pytest.mark.parametrize(("sense", "believed"), [(1.0, True), (-1.0, False)])
-def test_a_tilt_is_evidence_despite_vibration(sense, believed):
+def test_a_tilt_is_evidence_despite_vibration(sense, accepted):
     """The rate about x vibrates at 5 Hz against the force, ten times the rate of the tilt."""
     check, rng = GyroCheck(), np.random.default_rng(2)
     for k in range(1500):
@@ -66,7 +66,7 @@ def test_a_tilt_is_evidence_despite_vibration(sense, believed):
         force = (0.0, math.sin(angle) + 0.05 * math.cos(shake + 1.5), math.cos(angle))
         turn = (sense * (rate + shaking) + 0.04 * rng.standard_normal()) * STEP
         check.add(force, (turn, 0.0, 0.0), STEP, (0.05 * STEP) ** 2)
-    assert check.is_believed is believed
+    assert check.is_believed is accepted
 
 
 @pytest.mark.parametrize(("noise", "propagates"), [(0.002, False), (0.0, True)])

@@ -23,14 +23,14 @@ class Vehicle:
         self.bias = bias
         self.stamp = self.yaw = 0.0
 
-    def go(self, seconds, turn=0.0, pull=(0.0, 0.0), field=True, swing=0.0):
+    def go(self, seconds, turn=0.0, acceleration=(0.0, 0.0), field=True, swing=0.0):
         """Continue, turning at a varying rate, with an acceleration in m/s²."""
         for _ in range(round(seconds / STEP)):
             self.stamp += STEP
             rate = turn * (1.0 + swing * math.sin(self.stamp))
             self.yaw += rate * STEP
             shake = math.sin(math.tau * SHAKES * self.stamp)
-            force = np.array([*pull, 9.81]) + shake * np.array([0.6, 0.5, 0.9])
+            force = np.array([*acceleration, 9.81]) + shake * np.array([0.6, 0.5, 0.9])
             spin = self.bias + np.array([0.13 * shake, 0.01 * shake, rate])
             force += self.rng.normal(0.0, 0.1, 3)
             spin += self.rng.normal(0.0, 0.01, 3)
@@ -74,20 +74,20 @@ def test_circles_after_the_rest_do_not_tilt_up(seed):
     vehicle = Vehicle(seed)
     vehicle.go(14.0)
     for _ in range(5):
-        vehicle.go(8.0, turn=0.3, pull=(0.0, 1.2))
+        vehicle.go(8.0, turn=0.3, acceleration=(0.0, 1.2))
         assert vehicle.lean < 2.5
 
 
 def shown(**changes):
     """The result of six seconds of blocks; force, rate and field of each may be changed."""
-    watch, said = ShakenRest(), []
+    watch, stated = ShakenRest(), []
     for second in range(6):
         values = {"force": (0.1, 0.0, 0.99), "rate": (0.06, -0.03, 0.02), "field": (2.0, 1.0, -4.0)}
         values |= {name: change(second) for name, change in changes.items()}
         for _ in range(25):
             block = BlockMeans(values["force"], values["rate"], 4, 0.04)
-            said.append(watch.add(block, values["field"]))
-    return [each for each in said if each is not None]
+            stated.append(watch.add(block, values["field"]))
+    return [each for each in stated if each is not None]
 
 
 def test_four_seconds_that_agree_show_force_and_rate():

@@ -18,9 +18,9 @@ def test_a_steady_sideways_acceleration_is_averaged_out():
     robot = Robot(noise_rate=1e-3)
     motion = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
     window = measure(robot, motion, np.random.default_rng(2), gyro=True)
-    pulled = window.specific_force + np.array([0.0, 1.2, 0.0])
-    window = Window(window.time, window.field, pulled, window.angular_rate)
-    assert away_deg(pulled / np.linalg.norm(pulled, axis=1)[:, None], motion) > 6.0
+    accelerated = window.specific_force + np.array([0.0, 1.2, 0.0])
+    window = Window(window.time, window.field, accelerated, window.angular_rate)
+    assert away_deg(accelerated / np.linalg.norm(accelerated, axis=1)[:, None], motion) > 6.0
     assert away_deg(propagated_up(window), motion) < 1.5
 
 
@@ -40,7 +40,7 @@ def test_a_large_bias_by_a_rest_is_used_after_it():
     motion = Motion(np.arange(len(attitude)) * 0.04, attitude)
     robot = Robot(noise_rate=1e-3, gyro_bias=np.array([4.0, -3.0, 1.0]) * DEGREE)
     window = measure(robot, motion, np.random.default_rng(2), gyro=True)
-    pull = np.zeros((len(attitude), 3))
-    pull[500:2000, 1] = 1.2
-    pulled = replace(window, specific_force=window.specific_force + pull)
-    assert away_deg(propagated_up(pulled), motion) < 0.2
+    acceleration = np.zeros((len(attitude), 3))
+    acceleration[500:2000, 1] = 1.2
+    accelerated = replace(window, specific_force=window.specific_force + acceleration)
+    assert away_deg(propagated_up(accelerated), motion) < 0.2

@@ -46,7 +46,7 @@ def test_stamps_are_converted_to_the_time_of_the_receiver(tmp_path):
     gaps = np.diff([s.stamp for s in readings if isinstance(s, ImuSample)])
     expected = np.diff([s.stamp for s in SAMPLES if isinstance(s, ImuSample)])
     assert gaps == pytest.approx(expected, abs=2e-6)
-    assert 1.6e9 < source.begun < 1.9e9
+    assert 1.6e9 < source.first_stamp < 1.9e9
     assert source.place.latitude_deg == pytest.approx(48.1)
     place, moving = sorted(source.travel, key=lambda each: len(each))
     assert isinstance(place, PositionSample)
@@ -222,8 +222,8 @@ def test_a_magnetometer_that_the_autopilot_calls_unhealthy_is_named_so(tmp_path)
 
 
 def test_samples_that_are_left_out_as_unhealthy_are_counted(tmp_path):
-    begun = SAMPLES[0].stamp
-    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda _, stamp: stamp < begun + 1.0)
+    started = SAMPLES[0].stamp
+    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda _, stamp: stamp < started + 1.0)
     source, readings = read(path)
     left_out = len(FIELD) - len(numbers(readings)[1])
     assert 10 < left_out < len(FIELD)

@@ -130,7 +130,7 @@ def test_the_log_gives_time_place_course_and_the_yaw_of_the_autopilot(tmp_path):
         bearings=[(first + 1.0, 90.0), (first + 1.5, np.nan), (first + 2.0, 0.0)],
     )
     with open_recording(path) as source:
-        assert source.begun == pytest.approx(1.7e9 - 1.0, abs=1e-3)
+        assert source.first_stamp == pytest.approx(1.7e9 - 1.0, abs=1e-3)
         assert source.place.latitude_deg == pytest.approx(48.1)
         moving = [each for each in source.travel if isinstance(each, VelocitySample)]
         assert [(each.east, each.north) for each in moving] == [(3.0, 0.0)]
