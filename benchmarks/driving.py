@@ -161,8 +161,8 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
     both = "-"
     if halves:
         both = " / ".join(f"{value:.1f}" for value in np.sqrt(np.mean(np.square(halves), axis=0)))
-    told_of = (reported(beta, len(drives)), reported(offset, len(drives)))
-    show((name, f"{minutes:.0f}", tilt, rms, *told_of, both))
+    summaries = (summary(beta, len(drives)), summary(offset, len(drives)))
+    show((name, f"{minutes:.0f}", tilt, rms, *summaries, both))
 
 
 def without(offset: float, gap: FloatArray) -> tuple[float, float]:
@@ -172,7 +172,7 @@ def without(offset: float, gap: FloatArray) -> tuple[float, float]:
     return rms[0], rms[1]
 
 
-def reported(found: list[tuple[float, float]], drives: int) -> str:
+def summary(found: list[tuple[float, float]], drives: int) -> str:
     """Return RMS error, median sigma in degrees, NEES, and of how many drives."""
     if not found:
         return "-"
@@ -224,7 +224,7 @@ def odd_ones(drives: int) -> None:
             course = follow(drive.samples(), of_robot(drive)).course
             if course is not None:
                 found.append((math.remainder(course.offset - 0.1, math.tau), course.sigma))
-        show((name, f"{len(found)} of {drives}", reported(found, len(found))))
+        show((name, f"{len(found)} of {drives}", summary(found, len(found))))
 
 
 def drifting(rng: np.random.Generator) -> list[Leg]:

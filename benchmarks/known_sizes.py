@@ -42,7 +42,7 @@ TYPICAL = {
 ABSENT = {"force_moving": 1e-4, "shielding": 1e-4, "gradient": 1e-3}  # these robots have none
 
 
-def reported(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
+def priors_given(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     """Return the priors of a robot whose errors have the sizes of the simulator."""
     usual = priors_of(knowledge, bias_sigma)
     scale = usual.scale.copy()
@@ -67,7 +67,7 @@ def main() -> None:
     numbers = range(arguments.first, arguments.first + arguments.robots)
     print(f"{'radius':>6}  {'sizes':9} {'rms':>5} {'sigma':>6} {'NEES':>5} {'worst':>6}")
     for radius in (0.5, 1.0, 4.0):
-        for name, priors in (("estimated", priors_of), ("told", reported)):
+        for name, priors in (("estimated", priors_of), ("told", priors_given)):
             errors, sigmas = [], []
             for number in numbers:
                 scene, knowledge = small_circle(radius)(number)

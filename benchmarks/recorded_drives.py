@@ -48,20 +48,20 @@ def main() -> None:
         drive = changed(read_drive(folder, None), arguments.changed)
         if arguments.only not in folder.name or drive.everything.angular_rate is None:
             continue
-        _tell("from nothing", drive, None, reported(drive, None, 0.0, 1.0))
+        print_result("from nothing", drive, None, replayed(drive, None, 0.0, 1.0))
         for initial, name in in_force(drive):
             for first, last in ((0.0, 1.0), (0.0, 0.6), (0.4, 1.0)):
-                replay = reported(drive, initial, first, last)
+                replay = replayed(drive, initial, first, last)
                 windows += 1
-                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, initial, replay)
+                worse += print_result(f"{name}, {first:.0%} to {last:.0%}", drive, initial, replay)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
                 for seed in DRAWS:
                     rough = roughly(initial, seed)
-                    _tell(
-                        f"a rough one in force, draw {seed}", drive, rough, reported(drive, rough)
+                    print_result(
+                        f"a rough one in force, draw {seed}", drive, rough, replayed(drive, rough)
                     )
                 for eighth in range(8):
-                    _tell_change(drive, initial, eighth * 0.25 * math.pi)
+                    print_change(drive, initial, eighth * 0.25 * math.pi)
     print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
 
 
@@ -75,7 +75,7 @@ def roughly(known: Calibration, seed: int) -> Calibration:
     return replace(known, correction=correction, covariance=covariance)
 
 
-def reported(
+def replayed(
     drive: Drive, initial: Calibration | None, first: float = 0.0, last: float = 1.0
 ) -> DriveReplay:
     time = drive.everything.time
@@ -84,7 +84,7 @@ def reported(
     return replay_drive(drive.knowledge, initial, samples, ())
 
 
-def _tell_change(drive: Drive, initial: Calibration, way: float) -> None:
+def print_change(drive: Drive, initial: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
@@ -119,7 +119,7 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
     return found.rms if found else math.nan
 
 
-def _tell(name: str, drive: Drive, initial: Calibration | None, replay: DriveReplay) -> bool:
+def print_result(name: str, drive: Drive, initial: Calibration | None, replay: DriveReplay) -> bool:
     before, after = score(drive, initial), score(drive, replay.last_calibration)
     stated = (
         math.degrees(predicted_heading_sigma(replay.last_calibration))

@@ -65,7 +65,7 @@ def some_fence(seed: int) -> Fence:
     return Fence((12e-6 * math.cos(way), 12e-6 * math.sin(way), 0.0), heading)
 
 
-def reported(drive: Drive, initial: Calibration | None, speed: bool = True) -> DriveReplay:
+def replayed(drive: Drive, initial: Calibration | None, speed: bool = True) -> DriveReplay:
     return replay_drive(BOSTON, initial, drive._sensors(), drive.speeds if speed else ())
 
 
@@ -94,7 +94,7 @@ class RecordedResults(SelfCalibration):
         return made, now
 
 
-def received(drive: Drive) -> RecordedResults:
+def results_of(drive: Drive) -> RecordedResults:
     taken = RecordedResults()
     replay_drive(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
@@ -199,7 +199,7 @@ def bench_begin(seeds: range) -> None:
         first, late, missing = [], [], 0
         for seed in seeds:
             drive = drive_of(seed, 420.0)
-            found = list(changes(reported(drive, None, speed)))
+            found = list(changes(replayed(drive, None, speed)))
             missing += not found
             if found:
                 first.append(found[0][0])
@@ -219,7 +219,7 @@ def bench_jump(seeds: range) -> None:
         iron = (10e-6 * math.cos(angle), 10e-6 * math.sin(angle), 0.0)
         drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
         initial = calibration_of(drive.vehicle.robot.true_correction)
-        replay = reported(drive, initial)
+        replay = replayed(drive, initial)
         seen = [
             at for at, m in replay.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
         ]
@@ -247,7 +247,7 @@ def bench_good(seeds: range) -> None:
     changed, noticed = dict.fromkeys(gains, 0), dict.fromkeys(gains, 0)
     for seed in seeds:
         drive = drive_of(seed, 420.0)
-        taken = received(drive)
+        taken = results_of(drive)
         for off in gains:
             way = np.random.default_rng(seed + 5).normal(0.0, 1.0, 2)
             way *= math.radians(off) * math.sqrt(2.0) * LEVEL / float(np.linalg.norm(way))
@@ -287,7 +287,7 @@ def bench_traps(seeds: range) -> None:
         left, changed, noticed, worse = [], 0, 0, 0
         for seed in seeds:
             drive = make(seed)
-            replay = reported(drive, calibration_of(drive.vehicle.robot.true_correction))
+            replay = replayed(drive, calibration_of(drive.vehicle.robot.true_correction))
             changed += any(True for _ in changes(replay))
             noticed += any(made.kind is DecisionKind.NOTICED for _, made in replay.decisions)
             assert replay.last_calibration is not None

@@ -366,7 +366,7 @@ def driven(seed, legs, **options):
 def follow(drive, machine, reported=lambda stamp: stamp):
     """Let the machine decide along a drive; returns its decisions with their seconds.
 
-    The machine is told other stamps than the true ones where `reported` says so.
+    The stamps that the machine receives are `reported(stamp)`.
     """
     made = []
     rows = (drive.time, drive.field, drive.force, drive.rate)
