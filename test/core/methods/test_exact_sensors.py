@@ -61,7 +61,7 @@ def test_known_gains_and_pose_are_removed_first():
     [
         (360.0, 5.0, 0.096, 1),
         *(
-            pytest.param(*row, 8, marks=pytest.mark.nightly)
+            pytest.param(*row, 24, marks=pytest.mark.nightly)
             for row in (
                 (360.0, 0.0, 0.086),
                 (180.0, 0.0, 0.097),
