@@ -26,7 +26,7 @@ from magcal_ros.core.geometry.attitude import true_yaw, unit
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, CompassReading, Heading
-from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation, Trust
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation, FieldUse
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.coverage import Coverage
@@ -266,14 +266,14 @@ class FusedOutput:
         assert self.yaw is not None
         detector, heading = self.yaw.detector, self.yaw.heading()
         deviation = f"{detector.deviation:.1f} sigma"
-        values = {"field": detector.trust.value, "field departure": deviation}
+        values = {"field": detector.use.value, "field departure": deviation}
         message = "the compass corrects the gyro"
         if detector.last is not None:
             values["last disturbance"] = detector.last.in_words
-        if detector.trust is not Trust.GOOD:
+        if detector.use is not FieldUse.GOOD:
             level = DiagnosticStatus.WARN
-            message = f"the field differs from the calibrated one and {detector.trust.value}"
-            if detector.trust is Trust.IGNORED and detector.last is not None:
+            message = f"the field differs from the calibrated one and {detector.use.value}"
+            if detector.use is FieldUse.IGNORED and detector.last is not None:
                 message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
         elif self.yaw.field_jump is not None and self.yaw.is_ambiguous:
             level = DiagnosticStatus.WARN

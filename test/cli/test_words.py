@@ -49,7 +49,7 @@ def test_a_terminal_gets_its_width_and_a_script_whole_lines(monkeypatch, out, li
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "printed"),
     [
         ("check reference.strength_ut,", "check --reference-strength-ut,"),
         ("and inclination_deg or", "and --reference-inclination-deg or"),

@@ -128,7 +128,7 @@ def test_all_methods_agree_on_when_gravity_is_absent(case):
         assert ("shows no gravity" in words) == absent, method
 
 
-@pytest.mark.parametrize(("z", "told"), [(-9.81, True), (9.81, False)])
+@pytest.mark.parametrize(("z", "reported"), [(-9.81, True), (9.81, False)])
 def test_a_refusal_that_axes_may_have_caused_names_them(z, reported):
     force = np.full((5, 3), [0.0, 0.0, z])
     one = Window(np.arange(5.0), np.full((5, 3), 30e-6), force)

@@ -89,10 +89,10 @@ def calibrated():
     return calibrate(window, ROBOT.knowledge()).calibration
 
 
-def store_calibration(path, pull=0.0, frame="mag_link"):
-    """Store a calibration of the robot for a node; `pull` radians were subtracted."""
+def store_calibration(path, subtracted=0.0, frame="mag_link"):
+    """Store a calibration of the robot for a node; `subtracted` radians of it, by an old version."""
     calibration = calibrated()
-    figures = {**calibration.evidence.figures, "steady_pull": pull}
+    figures = {**calibration.evidence.figures, "steady_pull": subtracted}
     evidence = replace(calibration.evidence, figures=figures)
     calibration = replace(calibration, evidence=evidence)
     write_calibration(path, calibration, Origin.now(frame, "imu_link"))

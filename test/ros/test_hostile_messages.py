@@ -15,12 +15,14 @@ pytestmark = pytest.mark.faults
 
 
 @pytest.mark.parametrize(
-    "pull",
+    "subtracted",
     [0.0, pytest.param(0.01, marks=pytest.mark.nightly)],
     ids=["raw up", "carried up"],
 )
-def test_thousands_of_invalid_messages_give_no_error_and_no_nan(graph, monkeypatch, tmp_path, pull):
-    path = store_calibration(tmp_path / "calibration.yaml", pull, frame="")
+def test_thousands_of_invalid_messages_give_no_error_and_no_nan(
+    graph, monkeypatch, tmp_path, subtracted
+):
+    path = store_calibration(tmp_path / "calibration.yaml", subtracted, frame="")
     parameters = {
         **REFERENCE,
         "calibration_file": str(path),

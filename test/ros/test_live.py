@@ -82,7 +82,7 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
 
     def interrupt(process):
         progress = actor.status.get("progress") or {}
-        if progress.get("samples", 0) > 50 and not hasattr(process, "told"):
+        if progress.get("samples", 0) > 50 and not hasattr(process, "reported"):
             process.reported = True
             process.send_signal(signal.SIGINT)
 

@@ -36,7 +36,7 @@ PATIENCE = 60.0
 """Default time after which a deviating field is accepted as the expected one, seconds."""
 
 
-class Trust(str, Enum):
+class FieldUse(str, Enum):
     """How the present field is used."""
 
     GOOD = "good"
@@ -76,7 +76,7 @@ class DisturbanceDetector:
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self.patience = patience
-        self.trust = Trust.GOOD  # use of the newest sample
+        self.use = FieldUse.GOOD  # use of the newest sample
         self.deviation = 0.0  # of the newest sample, sigmas
         self.last: Disturbance | None = None  # the newest
         # Estimated variance of the local disturbance per axis, over the squared strength.
@@ -107,8 +107,8 @@ class DisturbanceDetector:
         if self._distance(self._calibrated, tilt_variance) < 1.0:
             self._expected = self._calibrated
         self.deviation = self._distance(self._expected, tilt_variance)
-        self.trust = self._judge()
-        if self.trust is not Trust.IGNORED:
+        self.use = self._judge()
+        if self.use is not FieldUse.IGNORED:
             self._disturbed_since = None
             return False
         return self._note(stamp, yaw)
@@ -136,13 +136,13 @@ class DisturbanceDetector:
         """Variance of a good field per axis, over its squared strength."""
         return DISTURBANCE.strength**2 + self._noise + self.amplitude_variance
 
-    def _judge(self) -> Trust:
+    def _judge(self) -> FieldUse:
         # Hysteresis, so that a field at the limit is not used intermittently.
-        was_ignored = self.trust is Trust.IGNORED
+        was_ignored = self.use is FieldUse.IGNORED
         edge = DISTURBANCE.believed_below if was_ignored else CLEAR
         if self.deviation >= edge:
-            return Trust.IGNORED
-        return Trust.GOOD if self.deviation <= 1.0 else Trust.WEIGHED_DOWN
+            return FieldUse.IGNORED
+        return FieldUse.GOOD if self.deviation <= 1.0 else FieldUse.WEIGHED_DOWN
 
     def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
         """Return the distance of the mean from a field, in sigmas."""

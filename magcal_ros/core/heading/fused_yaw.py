@@ -28,7 +28,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, FieldUse
 from magcal_ros.core.heading.field_jump import FieldJump, LevelField
 from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter, errors_of
 from magcal_ros.core.knowledge import CLEAR
@@ -201,7 +201,7 @@ class FusedYaw:
             self.field_jump.add(level_field, since / FUSION.moving_tau)
         if is_new:
             self._filter.add_variance(innovation**2)
-        elif detector.trust is Trust.IGNORED:
+        elif detector.use is FieldUse.IGNORED:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
@@ -354,7 +354,7 @@ class FusedYaw:
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         spread = following.spread(by_tilt + by_noise, compass)
         contradiction = (innovation / CLEAR) ** 2 / spread
-        is_good = self.detector.trust is Trust.GOOD
+        is_good = self.detector.use is FieldUse.GOOD
         clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._contradicted_seconds = (
             max(0.0, self._contradicted_seconds + clear * seconds) if is_good else 0.0

@@ -56,17 +56,17 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     piece = _pieces(nodes.time[longest])
     best: tuple[float, float, FloatArray, FloatArray] | None = None
     largest = 1.0 if nodes.currents is None else nodes.currents.battery.largest
-    trust = np.ones(len(nodes))
+    node_weight = np.ones(len(nodes))
     if nodes.currents is not None:
         unknown = nodes.currents.variance(USUALLY_LATE)
-        trust = 1.0 / (1.0 + unknown * (LARGEST_MOTORS / largest) ** 2 / 3.0)
+        node_weight = 1.0 / (1.0 + unknown * (LARGEST_MOTORS / largest) ** 2 / 3.0)
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.hstack(list(motor_inputs(course, priors.mean).values()))
         motors[:, 2:] /= largest
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
-        rows = nodes.field[longest], turned[longest], motors[longest], piece, trust[longest]
+        rows = nodes.field[longest], turned[longest], motors[longest], piece, node_weight[longest]
         found, drifted, misfit = _linear(*rows, -float(priors.mean[EARTH][1]))
         score = misfit * (1.0 + 2.0 * abs(bias))
         if best is None or score < best[0]:
@@ -136,14 +136,14 @@ def _linear(
     turned: FloatArray,
     motors: FloatArray,
     piece: IntArray,
-    trust: FloatArray,
+    node_weight: FloatArray,
     upward: float,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return c, h, k and l by iteratively reweighted least squares, the yaw's drift, the residual.
 
     The level part of c has a separate direction in each `piece` (n,); that of the first piece is
-    returned. `trust` (n,) is the weight of a node, lower if its current is uncertain. The drift of
-    the yaw (n,) is since the first piece, radians. The residual is the median, µT.
+    returned. `node_weight` (n,) is lower where the current is uncertain. The drift of the yaw (n,)
+    is since the first piece, radians. The residual is the median, µT.
     """
     count, pieces = len(field), int(piece[-1]) + 1
     eye = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -157,7 +157,7 @@ def _linear(
     known[0, 2 * pieces] = 1.0 / 3.0
     known[1:, -count_motors:] = np.eye(count_motors) / LARGEST_MOTORS
     expected = np.append(upward / 3.0, np.zeros(count_motors))
-    weight = trust
+    weight = node_weight
     for _ in range(12):
         scale = np.repeat(np.sqrt(weight), 3)
         left = np.vstack([rows.reshape(-1, unknowns) * scale[:, None], known])
@@ -165,7 +165,7 @@ def _linear(
         found = np.linalg.lstsq(left, right, rcond=None)[0]
         misfit = np.linalg.norm(field - rows @ found, axis=1)
         middle = float(np.median(misfit))
-        weight = trust / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
+        weight = node_weight / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
     earth = found[: 2 * pieces].reshape(pieces, 2)
     angle = np.unwrap(np.arctan2(earth[:, 1], earth[:, 0]))
     first = unit(earth[0]) * float(np.linalg.norm(earth, axis=1).mean())

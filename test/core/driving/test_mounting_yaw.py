@@ -181,7 +181,7 @@ def test_driving_backwards_right_after_forwards_is_detected(seed):
 
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("told", UNSIGNED.values(), ids=UNSIGNED)
+@pytest.mark.parametrize("reported", UNSIGNED.values(), ids=UNSIGNED)
 def test_the_direction_of_travel_is_correct_in_a_thousand_trips(reported):
     wrong = undecided = trips = 0
     for seed in range(50):

@@ -5,7 +5,7 @@ import pytest
 
 from magcal_ros.core import Calibration, Correction
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.heading import DisturbanceDetector, Trust
+from magcal_ros.core.heading import DisturbanceDetector, FieldUse
 
 DIP = math.radians(65.0)
 UP = (0.0, 0.0, 1.0)
@@ -31,23 +31,23 @@ def look(found, seconds, start=1.0, **changes):
 def test_the_calibrated_field_is_good():
     found = watch()
     assert not look(found, 5.0)
-    assert found.trust is Trust.GOOD
+    assert found.use is FieldUse.GOOD
     assert found.deviation == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("changes", "trust"),
+    ("changes", "use"),
     [
-        ({"strength": 48e-6 * 1.05}, Trust.WEIGHED_DOWN),
-        ({"dip": DIP - math.radians(3.0)}, Trust.WEIGHED_DOWN),
-        ({"strength": 48e-6 * 1.3}, Trust.IGNORED),
-        ({"dip": DIP + math.radians(10.0)}, Trust.IGNORED),
+        ({"strength": 48e-6 * 1.05}, FieldUse.WEIGHED_DOWN),
+        ({"dip": DIP - math.radians(3.0)}, FieldUse.WEIGHED_DOWN),
+        ({"strength": 48e-6 * 1.3}, FieldUse.IGNORED),
+        ({"dip": DIP + math.radians(10.0)}, FieldUse.IGNORED),
     ],
 )
-def test_a_deviating_field_gets_less_weight_and_is_then_ignored(changes, trust):
+def test_a_deviating_field_gets_less_weight_and_is_then_ignored(changes, use):
     found = watch()
     look(found, 5.0, **changes)
-    assert found.trust is trust
+    assert found.use is use
 
 
 def test_a_disturbance_is_recorded_with_time_heading_and_size():
@@ -66,7 +66,7 @@ def test_a_field_that_returns_is_used_again():
     found = watch()
     look(found, 5.0, strength=48e-6 * 1.3)
     look(found, 3.0, start=6.0)
-    assert found.trust is Trust.GOOD
+    assert found.use is FieldUse.GOOD
     assert not found.last.is_accepted
 
 
@@ -74,10 +74,10 @@ def test_a_field_that_stays_is_accepted_and_the_calibrated_one_still_is():
     found = watch(patience=20.0)
     assert not look(found, 19.0, strength=48e-6 * 1.3)
     assert look(found, 5.0, start=20.0, strength=48e-6 * 1.3) == 1
-    assert found.trust is Trust.GOOD
+    assert found.use is FieldUse.GOOD
     assert found.last.is_accepted
     look(found, 5.0, start=25.0)
-    assert found.trust is Trust.GOOD
+    assert found.use is FieldUse.GOOD
 
 
 def test_differing_places_widen_the_limits_of_a_good_field():
@@ -95,5 +95,5 @@ def test_a_poor_calibration_is_no_disturbance():
     unsure = watch(iron_sigma=3e-6)
     for found in (sure, unsure):
         look(found, 5.0, strength=48e-6 * 1.08)
-    assert sure.trust is Trust.IGNORED
-    assert unsure.trust is not Trust.IGNORED
+    assert sure.use is FieldUse.IGNORED
+    assert unsure.use is not FieldUse.IGNORED

@@ -16,7 +16,7 @@ from simulated import Vehicle, city, simulated_drive, travel
 from magcal_ros.core import Calibration, Compass, Correction
 from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import wrap_angle
-from magcal_ros.core.heading import FUSION, PATIENCE, FusedYaw, Trust
+from magcal_ros.core.heading import FUSION, PATIENCE, FieldUse, FusedYaw
 from magcal_ros.core.samples import ImuSample, SpeedSample, Streams
 from magcal_ros.core.up import GyroBias, Up, UpFollower
 from magcal_ros.files import read_csv_folder
@@ -131,11 +131,11 @@ def test_passing_iron_hardly_changes_the_yaw_and_is_recorded():
     course.go(20.0, disturbance=IRON, yaw_rate=0.1)
     raw = fusing.raw[-1][1] - course.ride.magnetic_yaw
     assert abs(math.degrees(float(wrap_angle(raw)))) > 25.0
-    assert fusing.fused.detector.trust is Trust.IGNORED
+    assert fusing.fused.detector.use is FieldUse.IGNORED
     assert np.abs(fusing.errors_deg()).max() < 3.0
     assert fusing.sigmas_deg()[-1] > 2.0 * fusing.sigmas_deg()[250]
     course.go(5.0)
-    assert fusing.fused.detector.trust is Trust.GOOD
+    assert fusing.fused.detector.use is FieldUse.GOOD
     assert abs(fusing.errors_deg()[-1]) < 2.0
     assert fusing.fused.detector.last.until - fusing.fused.detector.last.since > 18.0
 
@@ -144,7 +144,7 @@ def test_a_doubtful_field_never_overrules_the_gyro():
     fusing = Fusing()
     course = driven(fusing)
     course.go(10.0, disturbance=np.array([13.5e-6, -2e-6, 0.0]))
-    assert fusing.fused.detector.trust is Trust.WEIGHED_DOWN
+    assert fusing.fused.detector.use is FieldUse.WEIGHED_DOWN
     raw = fusing.raw[-1][1] - course.ride.magnetic_yaw
     assert abs(math.degrees(float(wrap_angle(raw)))) > 25.0
     assert np.abs(fusing.errors_deg()).max() < 5.0

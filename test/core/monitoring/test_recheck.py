@@ -41,7 +41,7 @@ def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
     assert (NO_GYRO in result.verdict.not_shown) == (not gyro)
 
 
-@pytest.mark.parametrize("said", [(), (LEVEL_ONLY,)])
+@pytest.mark.parametrize("stated", [(), (LEVEL_ONLY,)])
 def test_one_made_without_a_position_holds_on_level_ground(stated):
     """A turn shows it by its sigma on slopes, a drive by what it does not determine."""
     made = calibrate(window(), Knowledge()).calibration

@@ -54,7 +54,7 @@ def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
             assert follower.gyro_is_believed
 
 
-@pytest.mark.parametrize(("sense", "believed"), [(1.0, True), (-1.0, False)])
+@pytest.mark.parametrize(("sense", "accepted"), [(1.0, True), (-1.0, False)])
 def test_a_tilt_is_evidence_despite_vibration(sense, accepted):
     """The rate about x vibrates at 5 Hz against the force, ten times the rate of the tilt."""
     check, rng = GyroCheck(), np.random.default_rng(2)

@@ -32,7 +32,7 @@ def test_a_constant_force_is_accepted_after_a_time():
     assert shows_up(spell((0.2, 0.0, 1.0), 4.2))
 
 
-@pytest.mark.parametrize(("seconds", "believed"), [(0.6, False), (1.2, True)])
+@pytest.mark.parametrize(("seconds", "accepted"), [(0.6, False), (1.2, True)])
 def test_if_the_length_is_undecided_the_duration_decides(seconds, accepted):
     assert shows_up(spell((0.03, 0.0, 1.0), seconds)) is accepted
 
