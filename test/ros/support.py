@@ -90,7 +90,7 @@ def calibrated():
 
 
 def store_calibration(path, subtracted=0.0, frame="mag_link"):
-    """Store a calibration of the robot for a node; `subtracted` radians of it, by an old version."""
+    """Store a calibration of the robot; `subtracted` is the tilt by a steady acceleration, rad."""
     calibration = calibrated()
     figures = {**calibration.evidence.figures, "steady_pull": subtracted}
     evidence = replace(calibration.evidence, figures=figures)
