@@ -84,21 +84,22 @@ class SingleSampleTuning:
     """Settings of the fits to single samples, for latency, the motors' field, and acceleration."""
 
     most: int = 1500  # samples; more are averaged
-    lever: float = 0.3
-    """Standard deviation of the accelerometer's lever arm from the turn's axis, metres."""
+    lever: float = 0.25
+    """Standard deviation of the accelerometer's lever arm from the turn's axis, metres. An arm of
+    1 m is then recognised as one, and most circles of 2 m as circles."""
     walk_steps: int = 40  # of the gyro's random walk
     walk: float = math.radians(0.01)  # radians in a second, random walk of a noise-free gyro
     steady: float = 1.5  # seconds over which the noise is averaged
     least: float = 1e-3  # seconds, standard deviation of the stamps' systematic errors
     motors: float = 20e-6  # tesla, standard deviation of the motors' field in a turn
     turns: float = math.radians(5.0)  # rad/s from which the robot turns
-    starts: float = 0.2  # seconds over which this rate is averaged, for the motors' start and end
+    starts: float = 0.2  # seconds over which rates are averaged, for the start and end of turns
     in_time: float = 5e-3  # seconds, standard deviation of a known latency
     velocity: float = 5.0  # m/s, standard deviation of a vehicle's velocity in a turn
-    radius: float = 1.2
-    """Metres of a turn's radius from which it is no turn on the spot. A part of the acceleration is
-    taken for a lever arm: the smallest radius that is recognised in most turns is about 2 m."""
-    shown: float = 2.0  # sigmas of this radius
+    circle: float = 5.0  # metres, standard deviation of the radius of a circle that is driven
+    looks: int = 8  # largest number of fits, each about the latency of the one before
+    drove: float = 5.0
+    """Log of the prior odds of a turn on the spot against a drive."""
 
 
 FINE = SingleSampleTuning()

@@ -6,7 +6,8 @@ and random walk, and the accelerometer's lever arm. The sigma follows from the r
 the one that the rates and the noise of this movement allow.
 
 One metre from the axis of a turn, the centripetal acceleration in m/s² is the rate squared. A
-vehicle in a bend measures more, and drives to places where the field is different.
+vehicle in a bend measures more, and drives to places where the field is different: the evidence of
+both models decides.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from magcal_ros.core.doctor.doctor_tuning import (
     FORCE_PRIORS,
     AlignmentPriors,
 )
-from magcal_ros.core.doctor.segment import segment_of_log
+from magcal_ros.core.doctor.segment import Segment, segment_of_log
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import skews
@@ -62,10 +63,14 @@ class SingleSampleFit:
         """The corrected rates of the gyro, rad/s, shape (n, 3)."""
         return np.asarray((1.0 + self.state[0, SCALE]) * self.fit.rate[0] - self.state[0, BIAS])
 
-    def solve(self, more: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def solve(
+        self, more: FloatArray | None = None, taken: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Fit all parameters, the gyro's random walk and `more` columns of unit prior (n, 3, m).
 
-        Return the parameters and their covariance.
+        Return the parameters and their covariance. `taken` (m,) are amounts of these columns that
+        are already subtracted from the samples: they are as late as the samples, and the latency is
+        the whole one.
         """
         fit, state, time = self.fit, self.state, self.fit.segment.time
         residual, jacobian = (values[0, 0] for values in fit.linearised(state))
@@ -78,6 +83,10 @@ class SingleSampleFit:
         prior[: len(fit.prior), : len(fit.prior)] = fit.prior
         start = np.concatenate([state[0], np.zeros(count - len(fit.prior))])
         left, nu = residual, fit.tuning.freedom
+        if more is not None and taken is not None:
+            start[LAG] += self.lag
+            residual = residual + more @ taken
+            design[..., LAG] -= np.gradient(more @ taken, time, axis=0)
         for _ in range(AXES.rounds):
             variance = _noise_around(left, time)
             weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
@@ -113,10 +122,7 @@ class SingleSampleFit:
 
     def lever_columns(self) -> FloatArray:
         """Return the columns, of unit prior, of the accelerometer's lever arm."""
-        rate, part = self.fit.rate[0], self.fit.segment
-        turns = skews(rate)
-        per_metre = skews(np.gradient(rate, part.time, axis=0)) + turns @ turns
-        return np.asarray(FINE.lever / part.size * per_metre)
+        return FINE.lever * _per_metre(_calm(self.fit.rate[0], self.fit.segment), self.fit.segment)
 
 
 def field_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
@@ -174,10 +180,20 @@ def _fit_of_the_field(
 
 def _fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> SingleSampleFit | None:
     """Return the fit of the force to a gyro with axes (3, 3); None for too few samples."""
+    part = _part_of_the_force(log, lag)
+    return None if part is None else _fit_of_the_part(log, part, gyro, lag)
+
+
+def _part_of_the_force(log: SensorLog, lag: float) -> Segment | None:
+    """Return the force, with a latency subtracted, in place of the field; None as above."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
-    part = segment_of_log(gravity, lag, FINE.most, FINE.most)
-    if part is None:
-        return None
+    return segment_of_log(gravity, lag, FINE.most, FINE.most)
+
+
+def _fit_of_the_part(
+    log: SensorLog, part: Segment, gyro: FloatArray, lag: float
+) -> SingleSampleFit:
+    """Return the fit of the force that `part` has in place of the field."""
     fit = AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
     return SingleSampleFit(fit, fit.descend(fit.start(), START_NOISE, AXES.looks), log, lag)
 
@@ -206,23 +222,54 @@ def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     return np.asarray(each.reshape(*attitude.shape[:3], -1))
 
 
-def drove_while_turning(log: SensorLog, gyro: FloatArray = np.eye(3)) -> bool:
-    """Return whether the robot's turns have a radius beyond a lever arm; False if not shown.
+def _per_metre(rate: FloatArray, part: Segment) -> FloatArray:
+    """Return the acceleration at each metre from the axis of turns, over `size`, (n, 3, 3)."""
+    turns = skews(rate)
+    return np.asarray((skews(np.gradient(rate, part.time, axis=0)) + turns @ turns) / part.size)
 
-    The acceleration of a vehicle is the cross product of its turn rate and its velocity, which is
-    assumed to be constant in body axes. The log needs a gyro; rows of `gyro` (3, 3) are its axes in
-    the body's.
+
+def _calm(rate: FloatArray, part: Segment) -> FloatArray:
+    """Return the means of rates (n, 3): the derivative of single samples is mostly noise."""
+    width = rows_in(FINE.starts, part.time)
+    return np.column_stack([running_mean(axis, width) for axis in rate.T])
+
+
+def drove_while_turning(log: SensorLog, gyro: FloatArray = np.eye(3)) -> bool:
+    """Return whether the robot drove in its turns, rather than turn on the spot.
+
+    Two models are compared by their evidence. On the spot, the accelerometer has a lever arm. In a
+    drive, it also has the radius of a circle, and a velocity that is constant in body axes. The log
+    needs a gyro; rows of `gyro` (3, 3) are its axes in the body's.
     """
-    fit = _fit_of_the_force(log, gyro)
-    if fit is None:
-        return False
-    rate = fit.rate
-    by_velocity = FINE.velocity / fit.fit.segment.size * skews(rate)
-    found, covariance = fit.solve(np.concatenate([fit.lever_columns(), by_velocity], axis=2))
+    return _evidence_of_a_drive(log, gyro) > FINE.drove
+
+
+def _evidence_of_a_drive(log: SensorLog, gyro: FloatArray) -> float:
+    """Return the log of the evidence of a drive over that of a turn on the spot.
+
+    Each fit is linear about the latency and the acceleration that the one before has found.
+    """
     up = unit(np.median(log.force, axis=0))
-    level = FINE.velocity * (np.eye(3) - np.outer(up, up))
-    speed = float(np.linalg.norm(level @ found[-3:]))
-    off = math.sqrt(float(np.linalg.eigvalsh(level @ covariance[-3:, -3:] @ level)[-1]))
-    # The robot may also rest.
-    usual = float(np.quantile(np.abs(rate @ up), 0.8))
-    return usual > FINE.turns and speed > max(FINE.radius * usual, FINE.shown * off)
+    level = np.eye(3) - np.outer(up, up)
+    driven, lag, taken = -math.inf, 0.0, np.zeros(9)
+    for _ in range(FINE.looks):
+        part = _part_of_the_force(log, lag)
+        if part is None:
+            break
+        rate = _calm(part.rate @ gyro, part)
+        arm, by_velocity = _per_metre(rate, part), skews(rate) @ level / part.size
+        sizes = [FINE.lever * arm, FINE.circle * arm @ level, FINE.velocity * by_velocity]
+        columns = np.concatenate(sizes, axis=2)
+        rest = replace(part, field=part.field - columns @ taken)
+        found, covariance = _fit_of_the_part(log, rest, gyro, lag).solve(columns, taken)
+        # A drive without radius and velocity is a turn on the spot: the prior's density there, over
+        # the posterior's, is the ratio of the evidences (Savage and Dickey).
+        drive, spread = found[-6:], covariance[-6:, -6:]
+        square = float(drive @ np.linalg.solve(spread, drive))
+        before, driven = driven, 0.5 * (square + float(np.linalg.slogdet(spread)[1]))
+        # Whole steps of a large latency may oscillate.
+        lag += (0.5 if taken.any() else 1.0) * (float(found[LAG]) - lag)
+        taken = found[-9:]
+        if abs(driven - before) < 1.0:
+            break
+    return driven
