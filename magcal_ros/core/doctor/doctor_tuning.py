@@ -84,9 +84,8 @@ class SingleSampleTuning:
     """Settings of the fits to single samples, for latency, the motors' field, and acceleration."""
 
     most: int = 1500  # samples; more are averaged
-    lever: float = 0.25
-    """Standard deviation of the accelerometer's lever arm from the turn's axis, metres. An arm of
-    1 m is then recognised as one, and most circles of 2 m as circles."""
+    lever: float = 0.3
+    """Standard deviation of the accelerometer's lever arm from the turn's axis, metres."""
     walk_steps: int = 40  # of the gyro's random walk
     walk: float = math.radians(0.01)  # radians in a second, random walk of a noise-free gyro
     steady: float = 1.5  # seconds over which the noise is averaged

@@ -122,7 +122,7 @@ class SingleSampleFit:
 
     def lever_columns(self) -> FloatArray:
         """Return the columns, of unit prior, of the accelerometer's lever arm."""
-        return FINE.lever * _per_metre(_calm(self.fit.rate[0], self.fit.segment), self.fit.segment)
+        return FINE.lever * _per_metre(self.fit.rate[0], self.fit.segment)
 
 
 def field_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
