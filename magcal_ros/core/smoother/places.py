@@ -1,9 +1,10 @@
 """The local disturbance as a function of place: repeated passes add no independent information.
 
-The disturbance is a Gaussian process over the plane with covariance `s^2 exp(-distance / L)`. Its
-values at a few centres on the path are shared unknowns. The residual at the nodes is an
-Ornstein-Uhlenbeck process along the path (FITC: Snelson and Ghahramani, Sparse Gaussian processes
-using pseudo-inputs, 2006).
+The disturbance is a Gaussian process over the plane. Most of its variance has the correlation
+`exp(-distance / L)` with a length of tens of metres; the rest is alike over two metres (covers,
+parked cars). Its values at a few centres on the path are shared unknowns. The residual at the nodes
+is an Ornstein-Uhlenbeck process along the path (FITC: Snelson and Ghahramani, Sparse Gaussian
+processes using pseudo-inputs, 2006).
 """
 
 from __future__ import annotations
@@ -17,9 +18,15 @@ from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32  # centres at most
-CLOSEST = 5.0  # metres between centres at least
+CLOSEST = 2.0  # metres between centres at least
 REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a repeated pass
-SMALL_SCALE = 0.03  # fraction of the disturbance's variance with a small extent: manhole covers
+SHORTEST_LOOP = 5.0  # metres of path between two passes of a place, at least
+NEAR_SHARE, NEAR_LENGTH = 0.3, 2.0
+"""Share of the variance that is alike over a few metres only, and their number: in streets 20 to
+40% of it changes within 2 m."""
+WITHIN = np.array([-1.0, 0.0, 1.0]) / 3.0
+"""Points of a node's piece of the path, over its length, whose mean stands for the node."""
+LEAST_REST = 0.003  # smallest share of the variance that is left to a node
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +40,16 @@ class Places:
     information: FloatArray  # inverse correlation of the centres. Shape (k, k).
     log_determinant: float  # of the correlation
     length: float  # correlation length of the residual, metres
+    is_repeated: BoolArray  # whether the path passes near a node several times. Shape (n,).
 
     @classmethod
     def none(cls, count: int, length: float) -> Places:
         """Return no centres."""
         empty = np.zeros(0, dtype=int)
-        return cls(np.zeros((count, 0)), empty, np.ones(count), np.zeros((0, 0)), 0.0, length)
+        never = np.zeros(count, dtype=np.bool_)
+        return cls(
+            np.zeros((count, 0)), empty, np.ones(count), np.zeros((0, 0)), 0.0, length, never
+        )
 
     def __len__(self) -> int:
         return len(self.chosen)
@@ -51,7 +62,8 @@ class Places:
         the disturbance, metres.
         """
         way = dead_reckoned(course, state)
-        again = np.flatnonzero(_passed_again(way, length))
+        is_repeated = _passed_again(way, length)
+        again = np.flatnonzero(is_repeated)
         if not len(again):
             return cls.none(len(way), length)
         rows, apart = _spread_out(way[again], CLOSEST)
@@ -61,14 +73,16 @@ class Places:
         if len(chosen) < 2:
             return cls.none(len(way), length)
         centres = way[chosen]
-        among = np.exp(-_distances(centres, centres) / length) + 1e-6 * np.eye(len(centres))
-        to_nodes = np.exp(-_distances(way, centres) / length)
+        among = _correlation(_distances(centres, centres), length) + 1e-6 * np.eye(len(centres))
+        pieces = way[:, None] + WITHIN[:, None] * np.gradient(way, axis=0)[:, None]
+        to_nodes = _correlation(_distances(pieces, centres), length).mean(axis=1)
+        own = _correlation(_distances(pieces, pieces), length).mean(axis=(1, 2))
         information = np.asarray(np.linalg.inv(among), dtype=np.float64)
         weights = to_nodes @ information
-        explained = (1.0 - SMALL_SCALE) * np.sum(weights * to_nodes, axis=1)
-        rest = np.sqrt(np.clip(1.0 - explained, SMALL_SCALE, 1.0))
+        explained = np.sum(weights * to_nodes, axis=1)
+        rest = np.sqrt(np.clip(own - explained, LEAST_REST, 1.0))
         determinant = float(np.linalg.slogdet(among)[1])
-        return cls(weights, chosen, rest, information, determinant, min(apart, length))
+        return cls(weights, chosen, rest, information, determinant, min(apart, length), is_repeated)
 
     def disturbance(self, state: State) -> FloatArray:
         """Return the local disturbance at the nodes, µT, world axes, shape (n, 3)."""
@@ -97,12 +111,19 @@ def _passed_again(way: FloatArray, length: float) -> BoolArray:
     metres = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.abs(metres[:, None] - metres)
     apart = _distances(way, way)
-    again = (along > REVISIT_RATIO * apart) & (along > CLOSEST) & (apart < length)
+    again = (along > REVISIT_RATIO * apart) & (along > SHORTEST_LOOP) & (apart < length)
     return np.asarray(again.any(axis=1))
 
 
+def _correlation(distance: FloatArray, length: float) -> FloatArray:
+    """Return the correlation of the disturbance at two places, by their distance in metres."""
+    far = (1.0 - NEAR_SHARE) * np.exp(-distance / length)
+    return np.asarray(far + NEAR_SHARE * np.exp(-distance / NEAR_LENGTH))
+
+
 def _distances(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(one[:, None] - other, axis=2))
+    """Return the distances of places (..., n, 2) and (..., k, 2), metres, shape (..., n, k)."""
+    return np.asarray(np.linalg.norm(one[..., :, None, :] - other[..., None, :, :], axis=-1))
 
 
 def _spread_out(way: FloatArray, closest: float) -> tuple[list[int], float]:

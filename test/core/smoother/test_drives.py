@@ -13,7 +13,7 @@ from long_windows import (
     swaying_window,
 )
 from simulated.drive import random_vehicle, simulated_drive
-from simulated.legs import city
+from simulated.legs import circles, city
 from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
@@ -255,6 +255,16 @@ def test_slow_driving_in_a_street_has_a_correct_sigma():
     stated = math.degrees(found.posterior.heading_sigma)
     assert error < 2.5 * stated
     assert stated > 1.0
+
+
+@pytest.mark.parametrize("seed", [183101, 183104])
+def test_small_circles_are_fitted_within_their_sigma(seed):
+    """Each round passes the same covers and parked cars."""
+    drive = driven(seed, legs=circles(90.0, radius=4.0))
+    found = fit_to(drive)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 1.8 * math.degrees(found.posterior.heading_sigma)
+    assert 2e-6 < found.street < 4e-6
 
 
 def test_a_constant_field_at_rest_does_not_determine_the_disturbance():

@@ -68,7 +68,15 @@ def state(course: Course) -> State:
 
 def places(count: int) -> Places:
     weights = np.random.default_rng(6).uniform(0.0, 0.5, (count, 4))
-    return Places(weights, np.arange(4), np.linspace(0.2, 1.0, count), np.eye(4), 0.0, 30.0)
+    return Places(
+        weights,
+        np.arange(4),
+        np.linspace(0.2, 1.0, count),
+        np.eye(4),
+        0.0,
+        30.0,
+        np.ones(count, bool),
+    )
 
 
 def magnetic(course: Course, state: State) -> Residuals:
