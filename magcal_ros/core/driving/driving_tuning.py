@@ -118,8 +118,7 @@ class CourseTuning:
     """Relative error of neighbouring fixes, metres; not the absolute accuracy."""
     remembered: int = 200  # ticks kept for chords that end late
     together: float = 10.0  # largest time between chords that are compared for drift, seconds
-    share: float = 0.3
-    """Least fraction of a hull's turning that the course does not follow; zero on wheels."""
+    on_wheels: float = 2.0  # log of the prior odds of wheels against a drifting hull
     most: int = 400  # newest chords that are kept: a few kilometres
     wave_sigma: float = math.radians(3.0)
     """Prior sigma of the harmonics, radians: residual hard iron and soft iron."""

@@ -22,7 +22,6 @@ from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.slope import Slope
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
@@ -61,8 +60,11 @@ class HullDrift:
 
     @property
     def is_drifting(self) -> bool:
-        """Whether course and heading differ."""
-        return self.share.bounds(CLEAR)[0] > COURSE.share
+        """Whether course and heading differ: a hull is likelier than wheels."""
+        low, high = self.share.bounds(1.0)
+        # Log likelihood ratio of a share of one, a drifting hull's, against none.
+        ratio = 2.0 * (low + high - 1.0) / max(high - low, 1e-6) ** 2
+        return ratio > COURSE.on_wheels
 
     def restart(self) -> None:
         """Forget the last chord: the zero of the gyro's yaw has changed."""
