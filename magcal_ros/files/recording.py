@@ -244,10 +244,12 @@ def _lines(handle: TextIO) -> Iterator[str]:
         yield line
 
 
-def travel_of(moved: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
+def travel_of(
+    travel: Iterable[TravelSample | Fix],
+) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples sorted by stamp, and the place of the first good fix."""
     plane = LocalPlane()
-    samples = (plane.position(each) if isinstance(each, Fix) else each for each in moved)
+    samples = (plane.position(each) if isinstance(each, Fix) else each for each in travel)
     found = [sample for sample in samples if sample is not None]
     return tuple(sorted(found, key=lambda sample: sample.stamp)), plane.origin
 

@@ -77,14 +77,17 @@ class Announcer:
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
         self._wrong_since = {kind: self._wrong_since.get(kind, now) for kind in found}
-        logged = self._complained_at
-        logged = {kind: at for kind, at in logged.items() if kind in found or now - at < PAUSE}
+        logged_at = {
+            kind: at
+            for kind, at in self._complained_at.items()
+            if kind in found or now - at < PAUSE
+        }
         for kind, since in self._wrong_since.items():
-            last = logged.get(kind, -math.inf)
+            last = logged_at.get(kind, -math.inf)
             if last < since and now - last >= PAUSE and now - since >= self._lasting:
-                logged[kind] = now
+                logged_at[kind] = now
                 self._log.warning(found[kind])
-        self._complained_at = logged
+        self._complained_at = logged_at
 
     def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
         """Log the start of a turn, and the message of each new answer."""
@@ -128,14 +131,14 @@ class CallbackErrors:
             place = f"{os.path.basename(innermost.f_code.co_filename)}, line {line}"
         kind = type(error), place
         words = " ".join(str(error).split())[:LONGEST]
-        logged = f"an error in a callback, {kind[0].__name__} in {place}"
+        text = f"an error in a callback, {kind[0].__name__} in {place}"
         # The error comes from rclpy's own callback of /clock.
         if any(frame.f_globals.get("__name__") == "rclpy.time_source" for frame, _ in calls):
-            logged = "the simulated time on /clock jumped to a time that ROS cannot represent"
+            text = "the simulated time on /clock jumped to a time that ROS cannot represent"
         if kind not in self._known:
             self._known.add(kind)
             self._log(
-                f"{logged}: {words}. The node continues; further errors of this kind are only "
+                f"{text}: {words}. The node continues; further errors of this kind are only "
                 "counted, in Inputs of /diagnostics"
             )
-        return logged
+        return text

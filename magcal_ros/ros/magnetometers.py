@@ -121,8 +121,8 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
-        none = {each.number: CompassWeight(0.0) for each in self.active}
-        weights = none | self._compasses.weights
+        zero = {each.number: CompassWeight(0.0) for each in self.active}
+        weights = zero | self._compasses.weights
         return [
             {
                 "topic": each.topic,

@@ -61,10 +61,7 @@ class HullDrift:
     @property
     def is_drifting(self) -> bool:
         """Whether course and heading differ: a hull is likelier than wheels."""
-        low, high = self.share.bounds(1.0)
-        # Log likelihood ratio of a share of one, a drifting hull's, against none.
-        ratio = 2.0 * (low + high - 1.0) / max(high - low, 1e-6) ** 2
-        return ratio > COURSE.on_wheels
+        return self.share.log_odds > COURSE.on_wheels
 
     def restart(self) -> None:
         """Forget the last chord: the zero of the gyro's yaw has changed."""

@@ -31,11 +31,22 @@ class Slope:
         self._measured = keeps * self._measured + measured
         self._count = keeps * self._count + count
 
-    def bounds(self, sigmas: float) -> tuple[float, float]:
-        """Return the slope minus and plus some sigmas of it; infinite without evidence."""
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """The slope and its sigma, which is infinite without evidence."""
         if self.predicted <= 0.0:
-            return -math.inf, math.inf
+            return 0.0, math.inf
         slope = self._together / self.predicted
         left = max(0.0, self._measured - slope * self._together)
-        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self.predicted)
+        return slope, math.sqrt(left / max(self._count - 1.0, 1.0) / self.predicted)
+
+    def bounds(self, sigmas: float) -> tuple[float, float]:
+        """Return the slope minus and plus some sigmas of it; infinite without evidence."""
+        slope, sigma = self.estimate
         return slope - sigmas * sigma, slope + sigmas * sigma
+
+    @property
+    def log_odds(self) -> float:
+        """Log likelihood ratio of a slope of one against a slope of zero."""
+        slope, sigma = self.estimate
+        return (slope - 0.5) / max(sigma, 1e-6) ** 2
