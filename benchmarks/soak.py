@@ -146,9 +146,11 @@ def _live(
         while actor.ride.stamp - start < number * part:
             feeder.step()
         calibrated = feeder.calibrate()
-        actor.yaws.clear()
-        for _ in range(100):
-            feeder.step()
+        # The first yaws after a turn may still be of the turn: a loaded machine is late.
+        for _ in range(2):
+            actor.yaws.clear()
+            for _ in range(100):
+                feeder.step()
         seen = math.atan2(sum(map(math.sin, actor.yaws)), sum(map(math.cos, actor.yaws)))
         error = float(wrap_angle(seen - actor.ride.magnetic_yaw))
         done = (found[-1].calibrations if found else 0) + calibrated

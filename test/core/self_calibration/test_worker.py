@@ -77,10 +77,10 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     assert (LEVEL_ONLY in evidence.not_shown) is not is_known
     found_with = evidence.figure(Figure.REFERENCE_STRENGTH, 0.0)
     assert found_with == pytest.approx(51.3e-6 if is_known else 0.0)
-    without_best_quarter = replace(
+    of_another_place = replace(
         BOSTON.reference, inclination=Belief(0.5, 0.02), strength=Belief(4e-5, 1e-6)
     )
-    assert bool(made_elsewhere(found.calibration, without_best_quarter)) is is_known
+    assert bool(made_elsewhere(found.calibration, of_another_place)) is is_known
 
 
 def test_the_correct_one_is_likelier_in_both_halves(whole):
