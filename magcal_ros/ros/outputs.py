@@ -292,12 +292,12 @@ class FusedOutput:
                 ": gyro and accelerometer contradict each other; correct the gyro's axes or signs "
                 "in the driver"
             )
-        elif not self._follower.gyro_is_whole:
-            why = ": some axes of the gyro never change; the driver does not read them"
-        elif not self._follower.is_propagated:
+        elif self._follower.is_propagated:
+            why = " yet: no field has come" if self.yaw.heading() is None else ""
+        elif self._follower.gyro_is_whole:
             why = ": the IMU has no gyro"
         else:
-            why = " yet: no field has come" if self.yaw.heading() is None else ""
+            why = ": some axes of the gyro never change; the driver does not read them"
         return f"nothing on {TOPIC}{why}" if why else ""
 
 

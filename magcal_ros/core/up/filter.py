@@ -34,6 +34,9 @@ class FilterTuning:
     angle_walk: float = 3e-4
     turn_error: float = 0.003
     """As of `GyroTuning`, smaller: with the values of a yaw, up of a hand-held sensor is worse."""
+    hidden_walk: float = 4e-3
+    """Random walk of up where axes of the gyro are dead, radians per root second: within a minute,
+    the slope of a road changes by 1 to 2°."""
     usual_acceleration: float = 0.1  # g, sigma per axis of a moving robot
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
     given_acceleration: float = 0.03  # g, the same if the acceleration is measured
@@ -124,6 +127,7 @@ class GyroCheckTuning:
     """Variances of the gyro's noise that the squared changes must exceed as well; an engine shakes
     by more than the measured noise."""
     dead: int = 100  # messages with noise on another axis after which a constant axis is dead
+    near_up: float = 0.7  # least part of up along living axes: within 45° of up
     bend: float = 1e-4  # least second difference of a noisy rate, over the rate
 
 
@@ -207,11 +211,18 @@ class UpFilter:
         sigmas = (motion.speed,) * 3 + (motion.acceleration,) * 3
         self.covariance[range(first, 12), range(first, 12)] = np.square(sigmas[first - 6 :])
 
-    def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
+    def predict(
+        self,
+        up: Triple,
+        turned: Triple,
+        seconds: float,
+        motion: MotionPrior,
+        walk: float = FILTER.angle_walk,
+    ) -> None:
         """Propagate the state over a block of messages.
 
-        `up` is up after the block, propagated by the gyro without its bias, and `turned` the
-        rotation vector of the body, radians, body axes.
+        `up` is up after the block, propagated by the gyro without its bias, `turned` the rotation
+        vector of the body, radians, body axes, and `walk` the random walk of its error, rad/√s.
         """
         step = self._transition
         fast = math.exp(-seconds / FILTER.speed_lasts)
@@ -223,7 +234,7 @@ class UpFilter:
         self.state[:3] = up
         self.state[6:9] *= fast
         self.state[9:] *= kept
-        grown = FILTER.angle_walk**2 * seconds + FILTER.turn_error**2 * length(turned)
+        grown = walk**2 * seconds + FILTER.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
         if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
             # A wrong up looks like an acceleration; it is forgotten as soon as one ends.

@@ -137,8 +137,9 @@ class Up(NamedTuple):
 class UpFollower:
     """Estimates up during any motion.
 
-    The gyro propagates up, and the accelerometer corrects it as far as the motion allows. Without a
-    gyro, or if its axes are dead or disagree with the accelerometer, the specific force is smoothed
+    The gyro propagates up, and the accelerometer corrects it as far as the motion allows. A gyro
+    that measures the turn about up alone does so, too, with a tilt that changes slowly as roads do.
+    Without a gyro, or if it disagrees with the accelerometer, the specific force is smoothed
     instead.
     """
 
@@ -181,10 +182,10 @@ class UpFollower:
 
     @property
     def gyro_at_rest(self) -> GyroAtRest | None:
-        """The same, from a rest; None before the first rest."""
+        """The same, from a rest; None before the first rest, or if axes are dead."""
         bias = self.gyro_bias
         sigma = math.sqrt(bias.variance)
-        if sigma > FILTER.seen_at_rest or not self.is_propagated:
+        if sigma > FILTER.seen_at_rest or not self.is_propagated or not self.gyro_is_whole:
             return None
         return GyroAtRest(bias.rate, sigma)
 
@@ -227,14 +228,17 @@ class UpFollower:
         if seconds <= 0.0:
             self._ups.clear()
         follows = last is not None and 0.0 < seconds <= STREAMS.longest_gyro_step
-        stamp, rate, propagation = sample.stamp, sample.rate, self._propagation
-        if has_gyro(sample):
-            self._dead_axes.add(rate)
+        stamp, propagation = sample.stamp, self._propagation
+        was_hidden, rate = propagation.tilt_is_hidden, self._whole_rate(sample, force)
+        propagation.tilt_is_hidden = not self.gyro_is_whole
+        # Dead axes are known after some messages, with which up was turned wrongly.
+        follows = follows and propagation.tilt_is_hidden is was_hidden
+        if rate is not None:
             if follows and last is not None and has_gyro(last):
                 propagation.add(stamp, force, rate, seconds, is_given)
             else:
                 propagation.begin(stamp, force, rate, is_given)
-        if has_gyro(sample) and propagation.check.is_believed and self.gyro_is_whole:
+        if rate is not None and propagation.check.is_believed:
             if self._levelling is not None:
                 self._levelling = None
                 propagation.begin(stamp, force, rate, is_given)
@@ -244,6 +248,15 @@ class UpFollower:
             self._levelling = Levelling(force)
         now = propagation if self._levelling is None else self._levelling
         self._ups.append((stamp, now.up, now.variance))
+
+    def _whole_rate(self, sample: ImuSample, force: Triple) -> Triple | None:
+        """Return the rate of a sample, None without one; if axes are dead, that about up."""
+        if not has_gyro(sample):
+            return None
+        self._dead_axes.add(sample.rate)
+        if self.gyro_is_whole:
+            return sample.rate
+        return self._dead_axes.rate_about_up(sample.rate, self.newest or force)
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.

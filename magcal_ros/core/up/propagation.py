@@ -66,6 +66,7 @@ class GyroPropagation:
     def __init__(self) -> None:
         self.up = self.bias = ZERO
         self.variance = math.inf  # of up in either direction, rad²
+        self.tilt_is_hidden = False  # whether the rate is that about up alone
         self.check = GyroCheck()
         self.field = FieldStillness()  # takes the raw field, where there is one
         self._shaken = ShakenRest()
@@ -145,7 +146,8 @@ class GyroPropagation:
             self._is_still = False
         ambiguous_rate = self._ambiguous_rate()
         motion = self._motion(self.is_settled and ambiguous_rate is not None)
-        following.predict(self.up, block.turn, block.seconds, motion)
+        walk = FILTER.hidden_walk if self.tilt_is_hidden else FILTER.angle_walk
+        following.predict(self.up, block.turn, block.seconds, motion, walk)
         if self.is_settled and (ambiguous_rate is None or not goes_on):
             self.is_settled = False
             following.forget_motion(self._motion())

@@ -272,6 +272,18 @@ class DeadAxes:
         """Whether an axis has never changed; false until another axis has shown noise."""
         return self._noisy >= CHECK.dead and not all(self._has_changed)
 
+    def rate_about_up(self, rate: Triple, up: Triple) -> Triple | None:
+        """Return the rate of a turn about up, rad/s, that living axes show as `rate`.
+
+        `up` is in body axes, of any length. None if no living axis is near up.
+        """
+        x, y, z = (own if lives else 0.0 for own, lives in zip(up, self._has_changed, strict=True))
+        alive = x, y, z
+        square = dot(alive, alive)
+        if square < CHECK.near_up**2 * dot(up, up):
+            return None
+        return scaled(up, dot(rate, alive) / square)
+
     def add(self, rate: Triple) -> None:
         """Take the next rate, rad/s."""
         if all(self._has_changed):
