@@ -91,6 +91,12 @@ def with_a_gain(imu: FloatArray, field: FloatArray) -> tuple[FloatArray, FloatAr
     return imu, field
 
 
+def about_z_alone(imu: FloatArray, field: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A gyro that measures about z alone."""
+    imu[:, RATE] *= np.array([0.0, 0.0, 1.0])
+    return imu, field
+
+
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 
@@ -122,6 +128,7 @@ CHANGES: dict[str, Change] = {
     "soft iron": softened,
     "gyro off": added(rate=(2.0, -1.5, 1.0)),
     "gyro gain": with_a_gain,
+    "gyro about z": about_z_alone,
     "no gyro": without_gyro,
     "force off": added(force=(0.25, -0.2, 0.0)),
     "field noisy": noisier,

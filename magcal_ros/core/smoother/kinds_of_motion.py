@@ -149,7 +149,7 @@ class _MotionFits:
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         # A drive has no rival: its evidence still improves when its places are computed.
         spot, rival = self.fits.get(ON_THE_SPOT), math.inf
-        if spot is not None and like is not None and name != ON_THE_SPOT:
+        if spot is not None and name != ON_THE_SPOT:
             rival = self._equal_weight(name, spot)
         try:
             found = fit(*start, tolerances, like, report, rival)
@@ -302,10 +302,8 @@ def smooth(
             trials.something_passes()
         else:
             best = trials.parts_moved(best)
-            # With silent axes, acceleration counts as tilt at the optimum on the spot.
-            like = best if all(working_axes(window.angular_rate)) else None
             for name in ALTERNATIVES:
-                trials.add(name, like)
+                trials.add(name, best)
     else:
         trials.drives()
     return trials.mixture_of_kinds()

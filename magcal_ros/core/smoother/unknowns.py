@@ -334,7 +334,6 @@ class Lengths:
     """Distance of the magnetometer from the pivot, metres, for its path in a turn."""
     creep: float = 0.01  # m/s that a robot at rest may still move
     moving: float = 0.03  # rad/s of turn rate from which a robot on the spot counts as moving
-    slope: float = 5.0  # correlation time of the tilt of a robot that drives, seconds
     sway: float = 1.0  # correlation time of the tilt of a robot that sways, seconds
 
 

@@ -267,18 +267,6 @@ def test_small_circles_are_fitted_within_their_sigma(seed):
     assert 2e-6 < found.street < 4e-6
 
 
-@pytest.mark.parametrize("seed", first_of([190200, 190202, 190203, 190401]))
-def test_a_gyro_that_measures_about_z_alone_calibrates_a_drive(seed):
-    """The tilt of a car on a road is limited: a larger one is acceleration."""
-    drive = driven(seed, 200.0)
-    log = log_from(drive)
-    rate = log.angular_rate * [0.0, 0.0, 1.0]
-    found = smooth(dataclasses.replace(log, angular_rate=rate), BOSTON)
-    assert found.mode in DRIVES
-    error = heading_error(found.posterior.correction, drive.vehicle.robot)
-    assert error < 2.5 * math.degrees(found.posterior.heading_sigma) < 8.0
-
-
 def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
     """Where nothing passes the robot, streets that change from place to place stay as large."""
     drive = driven(12, 120.0)
