@@ -231,7 +231,7 @@ class UpFollower:
         stamp, propagation = sample.stamp, self._propagation
         was_hidden, rate = propagation.tilt_is_hidden, self._whole_rate(sample, force)
         propagation.tilt_is_hidden = not self.gyro_is_whole
-        # Dead axes are known after some messages, with which up was turned wrongly.
+        # Until dead axes are detected, up is rotated wrongly, so it starts again.
         follows = follows and propagation.tilt_is_hidden is was_hidden
         if rate is not None:
             if follows and last is not None and has_gyro(last):
