@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.doctor.doctor_tuning import WIDE, AlignmentPriors
 from magcal_ros.core.doctor.segment import Segment
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     chained,
     crossed,
@@ -75,25 +76,24 @@ def align(
 
     Parameters as for `AlignmentFit`.
     """
-    problem = AlignmentFit(segment, axes, gyro, WIDE, with_up)
-    some, noise = problem.descend(problem.start(), START_NOISE, FIRST_STEPS), START_NOISE
-    information, _, cost = problem.normal_equations(some, noise)
-    state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
+    problem, noise = AlignmentFit(segment, axes, gyro, WIDE, with_up), START_NOISE
+    at = problem.descend(problem.linearised(problem.start()), noise, FIRST_STEPS)
+    information, _, cost = problem.normal_equations(at, noise)
+    state, rms, misfit = at.state.copy(), at.rms, cost - cost.min()
     kept = np.arange(len(axes))
     for limit, steps in ROUNDS:
         left = misfit[kept] <= limit
-        kept, some = kept[left], some[left]
+        kept, at = kept[left], at.of(left)
         problem = AlignmentFit(segment, axes[kept], gyro[kept], WIDE, with_up)
         best = int(np.argmin(cost[left]))
-        noise = problem.noise(some, best)
-        residual = problem.linearised(some)[0][best]
-        problem.share = np.array([1.0 / inefficiency(values) for values in residual])
-        some = problem.descend(some, noise, steps)
-        information, _, cost = problem.normal_equations(some, noise)
-        state[kept], rms[kept], misfit[kept] = some, problem.rms(some), cost - cost.min()
+        noise = problem.noise(at, best)
+        problem.share = np.array([1.0 / inefficiency(values) for values in at.residual[best]])
+        at = problem.descend(at, noise, steps)
+        information, _, cost = problem.normal_equations(at, noise)
+        state[kept], rms[kept], misfit[kept] = at.state, at.rms, cost - cost.min()
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
-    attitude = problem.propagate(some)[0][int(np.argmin(cost))]
+    attitude = problem.propagate(at.state)[0][int(np.argmin(cost))]
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
     # Deviation of the attitudes from a turn about one axis.
@@ -123,6 +123,34 @@ def inefficiency(residual: FloatArray) -> float:
             break
         total += 2.0 * correlation
     return total
+
+
+class Linearisation(NamedTuple):
+    """The states (k, 23) of all candidates, with residuals and the Jacobian of the predictions.
+
+    Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
+    """
+
+    state: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+
+    @property
+    def rms(self) -> FloatArray:
+        """The typical residual of the field, shape (k,)."""
+        return np.asarray(np.sqrt(np.median(np.sum(self.residual[:, 0] ** 2, axis=2), axis=1)))
+
+    def of(self, chosen: BoolArray) -> Linearisation:
+        """Return the linearisation of the chosen candidates (k,)."""
+        return Linearisation(*(values[chosen] for values in self))
+
+    def improved(self, tried: Linearisation, better: BoolArray) -> Linearisation:
+        """Return the one of `tried` for the candidates (k,) for which it is better."""
+        if better.all():
+            return tried
+        for old, new in zip(self, tried, strict=True):
+            new[~better] = old[~better]
+        return tried
 
 
 class AlignmentFit:
@@ -200,11 +228,8 @@ class AlignmentFit:
         moved[:, 1:] = attitude[:, 1:] @ pushes
         return attitude, moved
 
-    def linearised(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals, and the Jacobian of the predictions.
-
-        Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
-        """
+    def linearised(self, state: FloatArray) -> Linearisation:
+        """Return the residuals and the Jacobian at states (k, 23)."""
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
@@ -225,29 +250,24 @@ class AlignmentFit:
             up = np.einsum("knij,kj->kni", attitude, state[:, UP])
             residual[:, 1] = self.segment.up - up
             jacobian[:, 1][..., OF_UP] = np.concatenate([attitude, turned(up, moved)], axis=3)
-        return residual, jacobian
+        return Linearisation(state, residual, jacobian)
 
-    def noise(self, state: FloatArray, best: int) -> FloatArray:
+    def noise(self, at: Linearisation, best: int) -> FloatArray:
         """Return the noise per axis (s,) from the residuals of one candidate."""
-        values = self.linearised(state)[0][best]
+        values = at.residual[best]
         typical = np.sqrt(np.median(np.sum(values**2, axis=2), axis=1) / 2.37)
-        whole = float(np.linalg.norm(state[best, FIELD]))
+        whole = float(np.linalg.norm(at.state[best, FIELD]))
         floors = [self.tuning.field_floor * max(1.0, whole), self.tuning.up_floor]
         return np.asarray(np.maximum(typical, floors[: self.sensors]))
 
-    def rms(self, state: FloatArray) -> FloatArray:
-        """Return the typical residual of the field, shape (k,)."""
-        field = self.linearised(state)[0][:, 0]
-        return np.asarray(np.sqrt(np.median(np.sum(field**2, axis=2), axis=1)))
-
     def normal_equations(
-        self, state: FloatArray, noise: FloatArray
+        self, at: Linearisation, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights.
 
         The cost is twice the negative logarithm of the posterior.
         """
-        residual, jacobian = self.linearised(state)
+        state, residual, jacobian = at
         nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
         chi2 = np.sum(residual**2, axis=3) / sigma**2
@@ -259,25 +279,26 @@ class AlignmentFit:
         cost += np.sum(share * np.log1p(chi2 / nu), axis=(1, 2))
         return weighted @ rows + self.prior, gradient, cost
 
-    def descend(self, state: FloatArray, noise: FloatArray, steps: int) -> FloatArray:
+    def descend(self, at: Linearisation, noise: FloatArray, steps: int) -> Linearisation:
         """Take Levenberg-Marquardt steps, each candidate with its own damping."""
-        damping = np.full(len(state), 1e-4)
-        information, gradient, cost = self.normal_equations(state, noise)
+        damping = np.full(len(at.state), 1e-4)
+        information, gradient, cost = self.normal_equations(at, noise)
         for _ in range(steps):
             diagonal = np.einsum("kii->ki", information)[..., None] * np.eye(PARAMETERS)
             damped = information + damping[:, None, None] * diagonal
-            tried = state + np.linalg.solve(damped, gradient[..., None])[..., 0]
+            step = np.linalg.solve(damped, gradient[..., None])[..., 0]
+            tried = self.linearised(at.state + step)
             again = self.normal_equations(tried, noise)
             better = again[2] < cost
             settled = bool((np.abs(cost - again[2]) < SETTLED).all())
             damping = np.where(better, damping * 0.2, damping * 20.0)
-            state = np.where(better[:, None], tried, state)
+            at = at.improved(tried, better)
             information = np.where(better[:, None, None], again[0], information)
             gradient = np.where(better[:, None], again[1], gradient)
             cost = np.where(better, again[2], cost)
             if settled:
                 break
-        return state
+        return at
 
 
 def turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:

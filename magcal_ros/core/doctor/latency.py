@@ -26,6 +26,7 @@ from magcal_ros.core.doctor.alignment import (
     SOFT,
     START_NOISE,
     AlignmentFit,
+    Linearisation,
     inefficiency,
     turned,
 )
@@ -48,20 +49,21 @@ from magcal_ros.core.samples.window import SensorLog, white_noise
 class SingleSampleFit:
     """The fit of a field or force that is constant in the world, to single samples and a gyro.
 
-    `state` (1, 23) are the parameters about which it is linear, `lag` the latency that is already
-    subtracted from the stamps, seconds.
+    It is linear about `at`; `lag` is the latency that is already subtracted from the stamps,
+    seconds.
     """
 
-    def __init__(self, fit: AlignmentFit, state: FloatArray, log: SensorLog, lag: float) -> None:
+    def __init__(self, fit: AlignmentFit, at: Linearisation, log: SensorLog, lag: float) -> None:
         self.fit, self.log, self.lag = fit, log, lag
         for _ in range(2):
-            state = fit.descend(state, fit.noise(state, 0), AXES.looks)
-        self.state = state
+            at = fit.descend(at, fit.noise(at, 0), AXES.looks)
+        self.at = at
 
     @property
     def rate(self) -> FloatArray:
         """The corrected rates of the gyro, rad/s, shape (n, 3)."""
-        return np.asarray((1.0 + self.state[0, SCALE]) * self.fit.rate[0] - self.state[0, BIAS])
+        state = self.at.state[0]
+        return np.asarray((1.0 + state[SCALE]) * self.fit.rate[0] - state[BIAS])
 
     def solve(
         self, more: FloatArray | None = None, taken: FloatArray | None = None
@@ -72,8 +74,8 @@ class SingleSampleFit:
         are already subtracted from the samples: they are as late as the samples, and the latency is
         the whole one.
         """
-        fit, state, time = self.fit, self.state, self.fit.segment.time
-        residual, jacobian = (values[0, 0] for values in fit.linearised(state))
+        fit, state, time = self.fit, self.at.state, self.fit.segment.time
+        residual, jacobian = self.at.residual[0, 0], self.at.jacobian[0, 0]
         attitude, _ = fit.propagate(state)
         walked = turned(attitude @ state[0, FIELD], _walk(attitude, time, self.log))[0]
         parts = [jacobian, (np.eye(3) + state[0, SOFT].reshape(3, 3)) @ walked]
@@ -175,7 +177,7 @@ def _fit_of_the_field(
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= hypothesis.part.size / part.size
     fit = AlignmentFit(part, hypothesis.field[None], hypothesis.gyro[None], priors)
-    return SingleSampleFit(fit, state, log, lag)
+    return SingleSampleFit(fit, fit.linearised(state), log, lag)
 
 
 def _fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> SingleSampleFit | None:
@@ -195,7 +197,8 @@ def _fit_of_the_part(
 ) -> SingleSampleFit:
     """Return the fit of the force that `part` has in place of the field."""
     fit = AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
-    return SingleSampleFit(fit, fit.descend(fit.start(), START_NOISE, AXES.looks), log, lag)
+    at = fit.descend(fit.linearised(fit.start()), START_NOISE, AXES.looks)
+    return SingleSampleFit(fit, at, log, lag)
 
 
 def rows_in(seconds: float, time: FloatArray) -> int:
