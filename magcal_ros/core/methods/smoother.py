@@ -50,7 +50,6 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
     YAW,
 )
-from magcal_ros.core.smoother.without_gyro import DEAD_AXES
 
 METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
 """Names of `fit` and of `fit_drive` in files and in the parameter `method`."""
@@ -131,15 +130,13 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
         _check_turn_without_gyro(found, estimate, knowledge)
         return
     if found.mode in DRIVES:
-        _check_drive(found, estimate, all(working_axes(window.angular_rate)))
+        _check_drive(found, estimate)
     elif not gyro_is_usual(found.fit):
         raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
 
 
-def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
-    """Refuse a drive with too few headings, a silent gyro axis, or a too large disturbance."""
-    if not all_axes:
-        raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
+def _check_drive(found: Smoothed, estimate: Estimate) -> None:
+    """Refuse a drive with too few headings or a too large disturbance."""
     street = found.fit.point.sizes["street"]
     if street > LARGEST_STREET:
         raise Refusal(

@@ -38,8 +38,11 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     UNKNOWNS,
 )
-from magcal_ros.core.smoother.without_gyro import DEAD_AXES
 
+SILENT_AXES = (
+    "an axis of the gyro never changes, and self-calibration needs all three; calibrate with "
+    "~/calibrate while you drive, or turn once on the spot between two rests"
+)
 FEWEST = 16  # nodes of the shortest drive that is fitted
 FIXED = 0.01  # prior spread of the logarithm of a size that is held fixed
 TOLERANCES = Tolerances(rounds=60, step=0.2)
@@ -110,7 +113,7 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """
     check_length(nodes)
     if not all(working_axes(log.angular_rate)):
-        raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
+        raise Refusal(Reason.AXES_DISAGREE, SILENT_AXES)
     state, about = start(nodes, priors_of(knowledge, log.bias_sigma))
     try:
         found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)

@@ -65,10 +65,7 @@ class Layout:
 
 def own_groups(model: Model) -> tuple[str, ...]:
     """Return the groups of shared unknowns that belong to one window."""
-    # With silent axes the factor of the gyro's matrix is fixed.
-    has_dead_axes = model.priors.spread["gyro_matrix"] == 0.0
-    is_by_field = model.nodes.tied_to is not None
-    return OF_A_MOMENT + (OF_A_TURN if has_dead_axes or is_by_field else ())
+    return OF_A_MOMENT + (OF_A_TURN if "lean" in model.priors.sizes else ())
 
 
 def common_groups(models: Sequence[Model]) -> dict[str, int]:
@@ -190,7 +187,7 @@ def _cost_of_nodes(model: Model, point: Point, weighted: dict[str, WeightedResid
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values())
     levels = (
-        (VELOCITY, model.speed),
+        (VELOCITY, model.kind.velocity),
         (STREET, sizes["street"]),
         (BODY_FIELD, point.body_field_at_first),
         (ACCELERATION, np.array([sizes[name] for name in CHANGES])),

@@ -124,7 +124,11 @@ class _MotionFits:
         self._begin(Spacing())
         self.add(ON_THE_SPOT, tolerances=ROUGH)
         spot = self.fits.get(ON_THE_SPOT)
-        return spot if spot is not None and gyro_is_usual(spot) else None
+        if spot is None or not gyro_is_usual(spot):
+            return None
+        # With silent axes, only a rest shows that a constant force is no centripetal acceleration.
+        is_shown = all(working_axes(self._samples.angular_rate)) or spot.point.course.still.any()
+        return spot if is_shown else None
 
     def add(
         self,
@@ -149,7 +153,7 @@ class _MotionFits:
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         # A drive has no rival: its evidence still improves when its places are computed.
         spot, rival = self.fits.get(ON_THE_SPOT), math.inf
-        if spot is not None and name != ON_THE_SPOT:
+        if spot is not None and like is not None and name != ON_THE_SPOT:
             rival = self._equal_weight(name, spot)
         try:
             found = fit(*start, tolerances, like, report, rival)
@@ -302,8 +306,10 @@ def smooth(
             trials.something_passes()
         else:
             best = trials.parts_moved(best)
+            # At the optimum on the spot, acceleration counts as tilt if axes are silent.
+            like = best if all(working_axes(window.angular_rate)) else None
             for name in ALTERNATIVES:
-                trials.add(name, best)
+                trials.add(name, like)
     else:
         trials.drives()
     return trials.mixture_of_kinds()

@@ -95,11 +95,6 @@ class Model:
         return np.searchsorted(self.free, np.arange(EARTH.start, EARTH.stop))
 
     @property
-    def speed(self) -> FloatArray:
-        """Usual velocity ahead and sideways, m/s, shape (2,)."""
-        return self.kind.velocity
-
-    @property
     def travels(self) -> bool:
         """Whether the kind of motion leaves the spot."""
         return self.kind.speed > KINDS[ON_THE_SPOT].speed
@@ -153,7 +148,7 @@ class Point:
             },
             _usual_groups(model.priors, state),
             model.no_places,
-            np.full(len(model.nodes), float(model.speed @ model.speed)),
+            np.full(len(model.nodes), float(model.kind.velocity @ model.kind.velocity)),
         )
 
     @property
@@ -173,7 +168,7 @@ class Point:
         state = places.with_disturbance(self.state, self.places.disturbance(self.state))
         local = state.local.copy()
         local[:, VELOCITY] *= np.minimum(
-            1.0, model.speed / np.maximum(np.abs(local[:, VELOCITY]).max(axis=0), 1e-9)
+            1.0, model.kind.velocity / np.maximum(np.abs(local[:, VELOCITY]).max(axis=0), 1e-9)
         )
         return replace(self, state=replace(state, local=local), places=places)
 
@@ -246,8 +241,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node, most)
     # The fluctuation of running motors is independent of the field in the rest before or after.
     still = course.still
-    fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
-    correlation = np.exp(-fades)
+    correlation = np.exp(-seconds / lengths.body_field) * (still[1:] == still[:-1])
     found = {
         "field": measured("field", field, per_node),
         "body_field": changing(
@@ -265,15 +259,17 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
             "speed", factors.speed(nodes.speed, state, is_ahead=model.kind.has_wheels), known
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
+    for name, axes in (("gyro", LEVEL_AXES), ("gyro_up", UP_AXIS)):
+        found[name] = measured(name, gyro.part(axes), seconds, unseen[:, axes].mean(axis=1))
+    if "lean" in model.priors.sizes:
+        # If a level axis is silent, neither is used.
+        found["lean"] = _lean(model, point, np.eye(3))
+        del found["gyro"]
     stands = still[1:] & still[:-1] & model.kind.traffic
     correlation = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
-        "gyro": measured(
-            "gyro", gyro.part(LEVEL_AXES), seconds, unseen[:, LEVEL_AXES].mean(axis=1)
-        ),
-        "gyro_up": measured("gyro_up", gyro.part(UP_AXIS), seconds, unseen[:, 2]),
         "street": changing(
             ("traffic", "street"),
             factors.process(state, STREET, correlation),
@@ -292,7 +288,7 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, WeightedResidual
     are their usual sizes. The damping d is 1 / T, but at least critical.
     """
     seconds, name = model.nodes.seconds, CHANGES[axis]
-    speed, size = model.speed[axis], point.sizes[name]
+    speed, size = model.kind.velocity[axis], point.sizes[name]
     pace = size / speed
     damping = max(1.0 / model.priors.lengths.acceleration, 2.0 * pace)
     by_v, by_a = damped(seconds, damping, pace)
@@ -318,7 +314,6 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
     assert nodes.tied_to is not None
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
-    correlation = np.exp(-nodes.seconds / model.priors.lengths.sway)
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
@@ -326,9 +321,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
     return {
         "force": sized("force", force.part(LEVEL_AXES), per_node),
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
-        "lean": sized(
-            "lean", factors_by_field.lean(state, nodes.tied_to, correlation), 1.0 - correlation**2
-        ),
+        "lean": _lean(model, point, nodes.tied_to),
         "gyro_up": sized(
             "gyro_up",
             factors_by_field.turning(course, state, nodes.tied_to),
@@ -341,6 +334,13 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
             "rate_change", factors.process(state, RATE, np.ones(len(per_node))), nodes.seconds
         ),
     }
+
+
+def _lean(model: Model, point: Point, axes: FloatArray) -> WeightedResiduals:
+    """Return the prior residuals of the tilt off the robot's axis."""
+    correlation = np.exp(-model.nodes.seconds / model.kind.tilted)
+    linear = factors_by_field.lean(point.state, axes, correlation)
+    return _measured(model, point, "lean", linear, 1.0 - correlation**2, 1e-3 * LEAST_VARIANCE)
 
 
 def path_between(model: Model, point: Point) -> FloatArray:
@@ -359,7 +359,7 @@ def prior_at(model: Model, point: Point) -> Prior:
     """Return the priors at a point."""
     state, sizes, places = point.state, point.sizes, point.places
     local = np.full_like(state.local, LEAST_VARIANCE)
-    local[0, VELOCITY] = model.speed**-2.0
+    local[0, VELOCITY] = model.kind.velocity**-2.0
     local[0, STREET] = sizes["street"] ** -2.0
     local[0, BODY_FIELD] = point.body_field_at_first**-2.0
     local[0, ACCELERATION] = [sizes[name] ** -2.0 for name in CHANGES]

@@ -285,6 +285,9 @@ class KindOfMotion(NamedTuple):
     gradient: float = 1.0
     """Factor of the usual gradient of the field; a drive has local disturbances instead."""
     traffic: bool = False  # whether passing vehicles change the local disturbance at rest
+    tilted: float = 1.0
+    """Correlation time of the tilt off a fixed axis, seconds. A robot that stays is on one slope,
+    and sways; the slope of a road changes within some 100 m."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -303,8 +306,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, True),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, True),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, True, 20.0),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, True, 20.0),
 }
 """The kinds of motion that are tried; they differ in these priors only."""
 LATE = f"{ON_THE_SPOT}, field late"
@@ -334,7 +337,6 @@ class Lengths:
     """Distance of the magnetometer from the pivot, metres, for its path in a turn."""
     creep: float = 0.01  # m/s that a robot at rest may still move
     moving: float = 0.03  # rad/s of turn rate from which a robot on the spot counts as moving
-    sway: float = 1.0  # correlation time of the tilt of a robot that sways, seconds
 
 
 def _slices() -> tuple[dict[str, slice], int]:

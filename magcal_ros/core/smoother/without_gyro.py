@@ -41,16 +41,10 @@ SMOOTHED = 0.5
 NODE, SWAY_SMOOTHED = 0.3, 0.1
 """Seconds of a node at most, and those (one sigma) over which the force is averaged for the rate of
 the sway: a robot that sways may tilt by `Spacing.most_turn` (RMS) during a node."""
-AXIS = 0.3  # sigma of the turn's axis off its guess, radians per axis
 CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
 Z = np.array([0.0, 0.0, 1.0])
-DEAD_AXES = (
-    "an axis of the gyro never changes, so that acceleration and tilt of a driving robot cannot "
-    "be separated; turn once on the spot, and rest for some seconds before and after"
-)
-
-
-DEAD = Size(0.01, 1.5, 6.0, "rad/√s", "sway about silent axes of the gyro", "robots: 0 to .1", 0.1)
+MOUNTED = 0.1  # sigma of a robot's up off the z axis of its IMU, radians: most are mounted level
+LEAN = Size(0.02, 0.7, 6.0, "rad", "tilt of the body off its axis on the way", "roads: .01 to .05")
 SWAY: Mapping[str, Size] = {
     "lean": Size(0.01, 1.5, 6.0, "rad", "tilt of the body off its axis", "robots: 0 to .05", 0.03),
     "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beyond a changing rate", "jerks", 0.05),
@@ -99,17 +93,18 @@ def _smooth(time: FloatArray, values: FloatArray, seconds: float) -> FloatArray:
 def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     """Return the priors of a window in which axes of the gyro are silent.
 
-    The rotation about a silent axis is a fraction of that about the other axes, plus sway.
+    The robot turns about an axis that is fixed in the body, and tilts off it. Without a limit of
+    the tilt, the centripetal acceleration of a circle would count as tilt.
     """
     if all(living):
         return priors
-    scale, spread = priors.scale.copy(), {**priors.spread, "gyro_matrix": 0.0}
-    dead = ~np.array(living)
+    scale, dead = priors.scale.copy(), ~np.array(living)
     scale[AT["gyro_bias"]][dead] = 0.0
+    scale[AT["gyro_matrix"]].reshape(3, 3)[dead] = 0.0
     if dead[2]:
         scale[AT["bias_walk"]] = 0.0
-    scale[AT["gyro_matrix"]].reshape(3, 3)[dead] = AXIS
-    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": DEAD})
+    scale[AT["axis"]], scale[AT["upright"]] = MOUNTED, UNKNOWNS["upright"].sigma
+    return replace(priors, scale=scale, sizes={**priors.sizes, "lean": LEAN})
 
 
 def without_rates(priors: Priors, *, rests: bool) -> Priors:

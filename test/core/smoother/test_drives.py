@@ -267,6 +267,34 @@ def test_small_circles_are_fitted_within_their_sigma(seed):
     assert 2e-6 < found.street < 4e-6
 
 
+def fit_about_z(drive, begin=0.0):
+    """Fit a drive from `begin` on, in seconds, by a gyro that measures about z alone."""
+    log = log_from(drive)
+    log = log.take(log.time > log.time[0] + begin)
+    found = smooth(
+        dataclasses.replace(log, angular_rate=log.angular_rate * [0.0, 0.0, 1.0]), BOSTON
+    )
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    return found, error, math.degrees(found.posterior.heading_sigma)
+
+
+@pytest.mark.parametrize("seed", first_of([190200, 190202, 190203, 190401]))
+def test_a_gyro_that_measures_about_z_alone_calibrates_a_drive(seed):
+    """The tilt of a car on a road is limited: a larger one is acceleration."""
+    found, error, stated = fit_about_z(driven(seed, 200.0))
+    assert found.mode in DRIVES
+    assert error < 2.5 * stated < 8.0
+
+
+@pytest.mark.parametrize("seed", first_of([192500, 192501, 192502, 192503]))
+def test_without_a_rest_a_gyro_about_z_alone_leaves_open_whether_the_robot_drives(seed):
+    """A steady circle tilts the force as a leaning robot on the spot does."""
+    drive = driven(seed, legs=circles(120.0, radius=14.0))
+    found, error, stated = fit_about_z(drive, begin=20.0)
+    assert set(found.fits) <= {*DRIVES, SMALL_CIRCLE}
+    assert error < 2.5 * stated
+
+
 def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
     """Where nothing passes the robot, streets that change from place to place stay as large."""
     drive = driven(12, 120.0)
