@@ -14,7 +14,13 @@ from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.factors import soft_iron
-from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
+from magcal_ros.core.smoother.fit import (
+    Fit,
+    Tolerances,
+    fit,
+    with_usual_force,
+    without_distortion,
+)
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
@@ -310,6 +316,8 @@ def smooth(
             like = best if all(working_axes(window.angular_rate)) else None
             for name in ALTERNATIVES:
                 trials.add(name, like)
+                if (other := with_usual_force(best, KINDS[name])) is not None:
+                    trials.add(name, other)
     else:
         trials.drives()
     return trials.mixture_of_kinds()

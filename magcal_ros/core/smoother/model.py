@@ -72,8 +72,8 @@ class Model:
             scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         # On wheels the velocity changes less sideways than ahead.
-        shares = zip(CHANGES, (1.0, math.sqrt(kind.sideways)), strict=True)
-        begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in shares}
+        accelerations = zip(CHANGES, kind.accelerations, strict=True)
+        begins = {n: priors.sizes[n]._replace(start=size) for n, size in accelerations}
         spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
         return cls(
             nodes,

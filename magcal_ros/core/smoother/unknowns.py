@@ -295,6 +295,11 @@ class KindOfMotion(NamedTuple):
         return self.speed * np.array([1.0, self.sideways])
 
     @property
+    def accelerations(self) -> tuple[float, float]:
+        """Initial sizes of the acceleration ahead and sideways, m/s²."""
+        return self.begins, self.begins * math.sqrt(self.sideways)
+
+    @property
     def has_wheels(self) -> bool:
         """Whether the robot drives ahead, so that its accelerations show the forward direction."""
         return self.sideways < 1.0

@@ -13,7 +13,7 @@ from long_windows import (
     swaying_window,
 )
 from simulated.drive import random_vehicle, simulated_drive
-from simulated.legs import circles, city
+from simulated.legs import Leg, circles, city
 from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
@@ -265,6 +265,24 @@ def test_small_circles_are_fitted_within_their_sigma(seed):
     error = heading_error(found.posterior.correction, drive.vehicle.robot)
     assert error < 1.8 * math.degrees(found.posterior.heading_sigma)
     assert 2e-6 < found.street < 4e-6
+
+
+PARKING = [
+    *(Leg(6.0), Leg(3.0, 5.0), Leg(3.0, 5.0, 0.13), Leg(3.0, 3.0, 0.13), Leg(3.0, 4.0, 0.13)),
+    *(Leg(4.0, 2.0, 0.13), Leg(3.0, 3.0), Leg(3.0), Leg(5.0)),
+]
+"""A car turns round, and stops."""
+
+
+@pytest.mark.parametrize("seed", first_of([193105, 193102, 193103]))
+def test_a_car_that_turns_round_is_not_taken_for_a_robot_on_the_spot(seed):
+    """On the spot its acceleration counts as noise of the force, and no fit may remain there."""
+    drive = driven(seed, legs=PARKING)
+    found = smooth(Window(drive.time, drive.field, drive.force, drive.rate), BOSTON)
+    assert found.mode in DRIVES
+    assert found.fit.point.sizes["force"] < 0.15
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 2.5 * math.degrees(found.posterior.heading_sigma)
 
 
 def fit_about_z(drive, begin=0.0):
