@@ -145,7 +145,7 @@ class Linearisation(NamedTuple):
         return Linearisation(*(values[chosen] for values in self))
 
     def improved(self, tried: Linearisation, better: BoolArray) -> Linearisation:
-        """Return the one of `tried` for the candidates (k,) for which it is better."""
+        """Return `tried`, overwritten by this one for the candidates (k,) that are not better."""
         if better.all():
             return tried
         for old, new in zip(self, tried, strict=True):

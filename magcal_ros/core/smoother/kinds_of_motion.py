@@ -112,6 +112,11 @@ class _MotionFits:
         self.fits: dict[str, Fit] = {}
         self._impossible = False
 
+    @property
+    def gyro_is_whole(self) -> bool:
+        """Whether no axis of the gyro is silent."""
+        return all(working_axes(self._samples.angular_rate))
+
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
@@ -133,8 +138,7 @@ class _MotionFits:
         if spot is None or not gyro_is_usual(spot):
             return None
         # With silent axes, only a rest shows that a constant force is no centripetal acceleration.
-        is_shown = all(working_axes(self._samples.angular_rate)) or spot.point.course.still.any()
-        return spot if is_shown else None
+        return spot if self.gyro_is_whole or spot.point.course.still.any() else None
 
     def add(
         self,
@@ -313,7 +317,7 @@ def smooth(
         else:
             best = trials.parts_moved(best)
             # At the optimum on the spot, acceleration counts as tilt if axes are silent.
-            like = best if all(working_axes(window.angular_rate)) else None
+            like = best if trials.gyro_is_whole else None
             for name in ALTERNATIVES:
                 trials.add(name, like)
                 if (other := with_usual_force(best, KINDS[name])) is not None:

@@ -259,12 +259,12 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
             "speed", factors.speed(nodes.speed, state, is_ahead=model.kind.has_wheels), known
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
-    for name, axes in (("gyro", LEVEL_AXES), ("gyro_up", UP_AXIS)):
-        found[name] = measured(name, gyro.part(axes), seconds, unseen[:, axes].mean(axis=1))
+    used = {"gyro": LEVEL_AXES, "gyro_up": UP_AXIS}
     if "lean" in model.priors.sizes:
-        # If a level axis is silent, neither is used.
+        del used["gyro"]  # If a level axis is silent, neither is used.
         found["lean"] = _lean(model, point, np.eye(3))
-        del found["gyro"]
+    for name, axes in used.items():
+        found[name] = measured(name, gyro.part(axes), seconds, unseen[:, axes].mean(axis=1))
     stands = still[1:] & still[:-1] & model.kind.traffic
     correlation = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
     return found | {
