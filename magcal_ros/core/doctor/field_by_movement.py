@@ -84,7 +84,7 @@ def with_field(
     lines = [*lines, reference_finding(found.hypothesis, knowledge, found.up_is_down)]
     if prepared.restamped or not np.isfinite(found.body.rate).all():
         return lines
-    shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
+    shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in lines)
     motors = motors_finding(found.body, found.hypothesis, shown)
     if motors.is_wrong:
         # Another turn with the motors on would not determine these quantities either.

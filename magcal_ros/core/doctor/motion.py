@@ -127,11 +127,16 @@ def compare(
     if hypothesis is not None:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)
         findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
-        if prepared.restamped:
-            findings.append(undetermined("latency", "field: latency", NO_BURSTS))
-        else:
-            findings += _latencies(body, hypothesis)
     return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
+
+
+def latency_findings(prepared: CleanLog, found: MotionResult) -> list[Finding]:
+    """Return the findings on the latencies; none unless a hypothesis explains the movement."""
+    if found.hypothesis is None or found.body is None:
+        return []
+    if prepared.restamped:
+        return [undetermined("latency", "field: latency", NO_BURSTS)]
+    return _latencies(found.body, found.hypothesis)
 
 
 def _explained(

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,8 @@ from magcal_ros.core.doctor.health import (
     stuck_axes,
     up_axis,
 )
-from magcal_ros.core.doctor.motion import compare
-from magcal_ros.core.doctor.prepared import prepare
+from magcal_ros.core.doctor.motion import MotionResult, compare, latency_findings
+from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.doctor.segment import segment_of_log
 from magcal_ros.core.errors import Reason, Refusal
@@ -79,12 +80,30 @@ def examine(
 
     `turned_left` is whether the user turned the robot to the left; None if unknown.
     """
-    prepared = prepare(log)
-    left = prepared.log
-    if min(len(left.imu_time), len(left.field_time)) < 3:
+    return _report(log, _Compared.of(log, knowledge, turned_left), knowledge)
+
+
+class _Compared(NamedTuple):
+    """A clean log, and the comparison of its sensors; None if it has too few samples."""
+
+    prepared: CleanLog
+    found: MotionResult | None
+
+    @classmethod
+    def of(cls, log: SensorLog, knowledge: Knowledge, turned_left: bool | None = None) -> _Compared:
+        """Clean a log and compare its sensors."""
+        prepared = prepare(log)
+        is_short = min(len(prepared.log.imu_time), len(prepared.log.field_time)) < 3
+        return cls(prepared, None if is_short else compare(prepared, knowledge, turned_left))
+
+
+def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> SensorReport:
+    """Return the findings on a log whose sensors have been compared."""
+    prepared, found = compared
+    if found is None:
         return SensorReport((*prepared.findings, *known_quirks(log)))
-    found = compare(prepared, knowledge, turned_left)
-    lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
+    lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
+    lines += latency_findings(prepared, found)
     lines = with_field(lines, prepared, found, knowledge)
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
@@ -98,11 +117,17 @@ def examine(
     return SensorReport(tuple(lines), mount, used, axes)
 
 
-# A refusal and a report examine the same turn several times.
+# A refusal and a report need the same turn several times.
+@lru_cache(maxsize=1)
+def _compared_window(window: Window, knowledge: Knowledge) -> _Compared:
+    return _Compared.of(SensorLog.of_window(window), knowledge)
+
+
 @lru_cache(maxsize=1)
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> SensorReport:
     """Check the sensors by the samples of a turn, which are already paired and cleaned."""
-    report = examine(SensorLog.of_window(window), knowledge)
+    log, compared = SensorLog.of_window(window), _compared_window(window, knowledge)
+    report = _report(log, compared, knowledge)
     kept = [f for f in report.findings if f.key not in UNPAIRED_ONLY]
     return replace(report, findings=tuple(kept))
 
@@ -116,7 +141,7 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     refusal = _wrong_gyro(window, knowledge)
     if refusal is not None or window.angular_rate is None:
         return refusal
-    certain = _refusal_from_page(window, knowledge, least=Grade.REFUSED)
+    certain = _refusal_by_axes(window, knowledge, least=Grade.REFUSED)
     return None if certain is None else wrong_stamps(window) or certain
 
 
@@ -128,7 +153,7 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
     """
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == WRONG_UNIT:
-            return _refusal_from_page(window, knowledge, (WRONG_UNIT,))
+            return _refusal_by(examine_window(window, knowledge).findings, (WRONG_UNIT,))
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}); {found.remedy}"
             return Refusal(Reason.NO_SOLUTION, words)
@@ -144,7 +169,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     if rate is None or len(window) < 3:
         return None
     if rate.any() and not np.ptp(rate, axis=0).any():
-        return _refusal_from_page(window, knowledge, ("frozen",))
+        return _refusal_by_axes(window, knowledge, ("frozen",))
     if up_axis(window.specific_force) in dead_axes(rate):
         return Refusal(
             Reason.AXES_DISAGREE,
@@ -154,7 +179,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         )
     segment = segment_of_log(SensorLog.of_window(window))
     if segment is not None and set(rate_factors(segment) or ()) - {1.0}:
-        return _refusal_from_page(window, knowledge, ("rate_unit",))
+        return _refusal_by_axes(window, knowledge, ("rate_unit",))
     return None
 
 
@@ -174,15 +199,24 @@ def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> R
 
 def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal of a turn that was not detected, or that for the faults behind it."""
-    return _wrong_gyro(window, knowledge) or _refusal_from_page(window, knowledge) or refusal
+    return _wrong_gyro(window, knowledge) or _refusal_by_axes(window, knowledge) or refusal
 
 
-def _refusal_from_page(
+def _refusal_by_axes(
     window: Window,
     knowledge: Knowledge,
-    lines: tuple[str, ...] = AXES_KEYS,
+    keys: tuple[str, ...] = AXES_KEYS,
     least: Grade = Grade.WARN,
 ) -> Refusal | None:
-    findings = examine_window(window, knowledge).findings
-    remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]
+    """Return a refusal by the comparison of the sensors, without the rest of the report."""
+    prepared, found = _compared_window(window, knowledge)
+    findings = prepared.findings + (() if found is None else found.findings)
+    return _refusal_by(findings, keys, least)
+
+
+def _refusal_by(
+    findings: Iterable[Finding], keys: tuple[str, ...], least: Grade = Grade.WARN
+) -> Refusal | None:
+    """Return a refusal with the remedies of some findings; None if they have none."""
+    remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in keys]
     return Refusal(Reason.AXES_DISAGREE, "; ".join(remedies)) if any(remedies) else None

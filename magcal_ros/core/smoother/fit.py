@@ -180,7 +180,8 @@ def optimum(
                 with_places(models[k], points[k]) if models[k].travels else points[k] for k in every
             ]
         joint = Joint.at(models, points)
-        evidence, solutions = joint.evidence(models, points), joint.solutions
+        is_needed, solutions = rounds >= min(fewest, tolerances.rounds), joint.solutions
+        evidence = joint.evidence(models, points) if is_needed else math.inf
         share = min(share_of(each, tolerances) for each in solutions)
         answer = np.concatenate([answer_of(models[k], solutions[k]) for k in every])
         moved = float(np.abs(answer).max(initial=0.0))
@@ -194,10 +195,9 @@ def optimum(
         if rounds > tolerances.undamped:
             damping = damping.next(evidence)
         for k in every:
-            model, parts, solution = models[k], joint.weighted[k], solutions[k]
-            point = points[k]
+            model, point, solution = models[k], points[k], solutions[k]
             if rounds >= tolerances.gaussian:
-                point = _robust(model, point, parts, solution)
+                point = _robust(model, point, joint.weighted[k], solution)
             if rounds > 0:
                 sizes[k], point = sizes[k].next(model, point, solution)
             stands = stepped(model, point, solution, share * damping.share)

@@ -55,18 +55,16 @@ DIFFERENT_TURNS = (
     "their stamps, and check that no samples of a shaking gyro are lost"
 )
 
-ALTERNATIVES = SMALL_CIRCLE, ON_WHEELS
+ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
 """Kinds of motion that are also fitted if a turn on the spot explains the samples."""
-ROUGH, DROPPED_BEYOND = Tolerances(rounds=20), 400.0
-"""Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from the
-best one beyond which the kind is then left out."""
+ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
 """Length in seconds of the part of a long window that is first tried as a turn on the spot, and the
 fewest samples in it."""
-MOST_FITS = 3 * len(KINDS)
-"""Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
+MOST_FITS = 2 * len(KINDS) + 1
+"""Of a drive: each kind of motion roughly, the likeliest to the end, and the others from it."""
 LATE_BY = 0.1  # initial delay of the field in the iterations of `LATE`, seconds
 CONFOUNDED = "installation", "soft_iron", "axes", "iron"
 """Unknowns that are confounded with a part moved on the robot."""
@@ -161,10 +159,10 @@ class _MotionFits:
 
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        # A drive has no rival: its evidence still improves when its places are computed.
-        spot, rival = self.fits.get(ON_THE_SPOT), math.inf
-        if spot is not None and like is not None and name != ON_THE_SPOT:
-            rival = self._equal_weight(name, spot)
+        known, rival = self.fits.get(name), math.inf
+        if like is not None and like is not known:
+            # Other fits may still improve much, slowly, while their places are computed.
+            rival = self._equal_weight(name)
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -172,16 +170,20 @@ class _MotionFits:
         if not is_possible(found):
             self._impossible = True
             return
-        known = self.fits.get(name)
         # A fit that continues the known one replaces it, which had not converged.
         if known is None or like is known or found.evidence < known.evidence:
             self.fits[name] = found
 
-    def _equal_weight(self, name: str, spot: Fit) -> float:
-        """Return the evidence at which a kind of motion has the weight of a turn on the spot."""
+    def _equal_weight(self, name: str) -> float:
+        """Return the evidence at which a kind of motion has the weight of the likeliest other."""
         # With the same weights as in `mixture_of_kinds`.
-        odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
-        return spot.evidence + math.log(odds) / EVIDENCE_WEIGHT
+        own = math.log(self._usual.get(name, 1.0))
+        others = [
+            each.evidence + (own - math.log(self._usual.get(other, 1.0))) / EVIDENCE_WEIGHT
+            for other, each in self.fits.items()
+            if other != name and gyro_is_usual(each)
+        ]
+        return min(others, default=math.inf)
 
     def field_late(self) -> Fit:
         """Return the better fit of a turn on the spot, with or without a delayed field.
@@ -224,7 +226,7 @@ class _MotionFits:
         like = replace(usual, point=replace(point, state=state, groups=groups))
         self.add(MOVED, like, priors=priors)
         moved = self.fits.get(MOVED, usual)
-        if moved.evidence >= self._equal_weight(MOVED, usual):
+        if moved.evidence >= self._equal_weight(MOVED):
             return usual
         self._priors = priors
         return moved
@@ -233,26 +235,34 @@ class _MotionFits:
         """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
-        fits = self.fits
         for name in DRIVES if self._samples.rolls else KINDS:
-            if name != ON_THE_SPOT and name not in fits:
+            if name != ON_THE_SPOT and name not in self.fits:
                 self.add(name, tolerances=ROUGH)
         self._started = max(self._started, len(KINDS))
-        least = min((each.evidence for each in fits.values()), default=0.0)
-        for name, rough in tuple(fits.items()):
-            if rough.evidence > least + DROPPED_BEYOND:
-                del fits[name]
-            elif not rough.converged:
-                self.add(name, rough)
-        self._started = max(self._started, 2 * len(KINDS))
-        for name, other in tuple(fits.items()):
-            # Another kind may have stopped at a local optimum that is worse than the best fit.
-            best = min(fits.values(), key=lambda each: each.evidence)
-            if best.evidence < other.evidence < best.evidence + DROPPED_BEYOND:
-                self.add(name, best)
-        # Implausible gyro noise indicates a wrong kind of motion, if another kind needs none.
-        usual = {name: each for name, each in fits.items() if gyro_is_usual(each)}
-        self.fits = usual or fits
+        if not self.fits:
+            return
+        first = self._likeliest
+        if not self.fits[first].converged:
+            self.add(first, self.fits[first])
+        # The others stopped early, or at a local optimum that is worse than the best fit.
+        for name in [*(other for other in self.fits if other != first), first]:
+            if name != self._likeliest:
+                self.add(name, self.fits[self._likeliest])
+        self.fits = self._usual_fits
+
+    @property
+    def _usual_fits(self) -> dict[str, Fit]:
+        """The fits with a plausible noise of the gyro, or all if there are none.
+
+        Implausible noise indicates a wrong kind of motion, if another kind needs none.
+        """
+        usual = {name: each for name, each in self.fits.items() if gyro_is_usual(each)}
+        return usual or self.fits
+
+    @property
+    def _likeliest(self) -> str:
+        fits = self._usual_fits
+        return min(fits, key=lambda name: fits[name].evidence)
 
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
@@ -316,10 +326,9 @@ def smooth(
             trials.something_passes()
         else:
             best = trials.parts_moved(best)
-            # At the optimum on the spot, acceleration counts as tilt if axes are silent.
-            like = best if trials.gyro_is_whole else None
             for name in ALTERNATIVES:
-                trials.add(name, like)
+                # At the optimum on the spot, acceleration counts as tilt if axes are silent.
+                trials.add(name, best if trials.gyro_is_whole else trials.fits.get(ON_WHEELS))
                 if (other := with_usual_force(best, KINDS[name])) is not None:
                     trials.add(name, other)
     else:

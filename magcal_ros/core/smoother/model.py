@@ -228,12 +228,12 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, places = nodes.seconds, point.places
     measured, changing = partial(_measured, model, point), partial(_changing, model, point)
-    per_node = np.median(nodes.count) / nodes.count
+    per_node = nodes.usual_count / nodes.count
     per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
     # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
     per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
-        per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
+        per_link = nodes.usual_samples / nodes.samples
 
     course = point.course
     field = factors.magnetic(course, state, places)
@@ -312,7 +312,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
     """Return the residuals of force, steady turning and sway of a turn without a gyro."""
     nodes, course, state = model.nodes, point.course, point.state
     assert nodes.tied_to is not None
-    per_node = np.median(nodes.count) / nodes.count[:-1]
+    per_node = nodes.usual_count / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -128,6 +129,16 @@ class Nodes:
         rate = start + (2.0 * x * (change - bend) + 3.0 * x**2 * bend) / span
         before = angle[first] + x * span * start + x**2 * (change + (x - 1.0) * bend)
         return angle - before - (share - x) * span * rate, rate
+
+    @cached_property
+    def usual_count(self) -> float:
+        """Median number of samples in a mean of the field."""
+        return float(np.median(self.count))
+
+    @cached_property
+    def usual_samples(self) -> float:
+        """Median number of force samples in a mean that has any."""
+        return float(np.median(self.samples[self.samples > 0]))
 
     @property
     def link_rate(self) -> FloatArray:
