@@ -50,7 +50,7 @@ def test_without_a_rest_the_acceleration_is_in_the_sigma():
     error, sigma, outcome = judged(lambda time: 1.0 + 0.0 * time, 0.0, radius=1.5)
     assert error > 1.0 * DEGREE
     assert error < 3.0 * sigma
-    assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] > 0.7 * sigma
+    assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] > 0.6 * sigma
 
 
 CIRCLE = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0, 1.0, 0.0)}
@@ -61,6 +61,7 @@ def on_the_circle():
     return judged(**CIRCLE)
 
 
+@pytest.mark.nightly
 def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels():
     """Ahead is its y axis, which a parameter may say."""
     sideways = CIRCLE | {"inwards": (-1.0, 0.0, 0.0), "wheels": 1.0}
@@ -71,6 +72,7 @@ def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels()
     assert smaller < 0.8 * sigma
 
 
+@pytest.mark.nightly
 def test_without_a_rest_the_speed_of_wheels_determines_the_acceleration():
     error, sigma, _ = on_the_circle()
     by_wheels, smaller, _ = judged(**CIRCLE, wheels=1.0)

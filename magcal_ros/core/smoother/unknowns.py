@@ -310,7 +310,7 @@ ON_WHEELS, ANY_WAY = "drive on wheels", "drive any way"
 DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
-    SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
+    SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.08, 0.01),
     ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, True, 20.0),
     ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, True, 20.0),
 }
