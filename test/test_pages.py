@@ -74,6 +74,7 @@ def test_pictures_are_small_and_shown():
         assert f"pictures/{picture.name})" in shown
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", first_of(["doctor_80", "report", "drive"], 2))
 def test_pictures_have_the_words_of_today(monkeypatch, tmp_path, name):
     """If not: `make pictures`."""

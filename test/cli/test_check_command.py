@@ -76,6 +76,7 @@ def test_the_report_has_the_same_content(check, tmp_path, iron, word):
     assert "the turn covers " in page
 
 
+@pytest.mark.nightly
 def test_json_has_both_sides_of_every_figure(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)), "--json")
     document = json.loads(out)

@@ -121,6 +121,7 @@ def test_compare_shows_every_method_and_writes_nothing(fit, bag, tmp_path):
     assert not (tmp_path / "found").exists()
 
 
+@pytest.mark.nightly
 def test_a_path_that_is_not_unicode_is_read_and_reported(fit, tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/drive\xff\x1b[2J"))
     status, out, err = fit(write_csv(folder, drive(400.0)))
@@ -265,6 +266,7 @@ class TestSeveralTurns:
         assert joined == [True, True, False, False]
         assert document["several"]["advice"].startswith("Next turn ")
 
+    @pytest.mark.nightly
     def test_one_recording_gives_no_report_on_several(self, fit, turns):
         assert json.loads(fit(turns / "a", "--json")[1])["several"] is None
 
@@ -305,6 +307,7 @@ def test_omitted_repetitions_are_reported(fit, tmp_path):
     assert f"mag.csv: {printed}" in out
 
 
+@pytest.mark.nightly
 def test_a_turn_without_a_gyro_is_reported_with_the_missing_knowledge(tmp_path, capsys):
     folder = write_csv(tmp_path / "csv", drive(400.0))
     rows = (folder / "imu.csv").read_text().splitlines()

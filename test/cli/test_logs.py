@@ -52,6 +52,7 @@ def level_circle(field):
     return float(sizes.std() / sizes.mean())
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("right_axes")
 def test_ardupilot_uses_the_calibration_from_its_log(tmp_path, capsys):
     """With two compasses, and motors whose field of 0 to 12 µT it compensates before and after."""

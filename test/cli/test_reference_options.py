@@ -84,6 +84,7 @@ def test_given_numbers_have_priority(fit, drive_of_2021, tmp_path):
     assert reference["source"].startswith("declination given, the rest from")
 
 
+@pytest.mark.nightly
 def test_the_first_good_fix_of_a_bag_is_its_place_unless_one_is_given(fit, drive_of_2021, tmp_path):
     fixes = [fix(10.0, 10.0, status=-1), fix(math.nan, 0.0), fix(48.14, 11.58), fix(0.5, 0.5)]
     bag = write_bag(tmp_path / "bag", [drive_of_2021[0], *fixes, *drive_of_2021[1:]])

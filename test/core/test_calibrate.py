@@ -173,6 +173,7 @@ def test_after_a_full_turn_on_its_side_an_upright_turn_is_asked_for(dip, known, 
     assert "full circle" not in verdict.summary
 
 
+@pytest.mark.nightly
 def test_after_a_full_circle_no_further_circle_is_asked_for():
     robot = Robot(noise_field=3e-6, noise_force=1.5)
     window = measure(robot, turn(samples=40), np.random.default_rng(1))
@@ -182,6 +183,7 @@ def test_after_a_full_circle_no_further_circle_is_asked_for():
     assert not [check.words for check in checks if "full circle" in check.words]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("gyro", [True, False])
 def test_a_robot_that_leans_with_the_ground_shows_no_soft_iron(gyro):
     """It rolls by 6 degrees twice a turn: the raw ellipse is not by iron."""

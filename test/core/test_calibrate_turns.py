@@ -57,6 +57,7 @@ def mixed():
     return calibrate_turns([level, other, east, east.take(np.arange(50, 200)), stood], KNOWN)
 
 
+@pytest.mark.nightly
 def test_one_turn_gives_exactly_its_own_estimate():
     window = windows_on([LEVEL], 1, samples=250)[0]
     together, alone = calibrate_turns([window], KNOWN), calibrate(window, KNOWN)

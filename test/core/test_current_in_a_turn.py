@@ -64,6 +64,7 @@ def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed
     assert heading_error(scene, without.calibration.correction) > 3.0 * sigma
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", first_of([("step, hold", SIZE), ("none", 0.0)]))
 def test_an_irrelevant_current_does_no_harm(case):
     shape, size = case

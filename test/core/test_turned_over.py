@@ -110,6 +110,7 @@ def test_the_methods_for_tumbles_accept_any_median_orientation(method):
     assert not any("z points" in words for words in verdict.reasons)
 
 
+@pytest.mark.nightly
 def test_a_rolling_boat_is_advised_to_turn():
     """Its z points up, and its axis of rotation is horizontal."""
     time = np.arange(0.0, 20.0, 0.1)

@@ -69,6 +69,7 @@ def test_the_calibration_in_force_is_no_backup(path, irons):
     assert kept(path) == [2, 1, None]
 
 
+@pytest.mark.nightly
 def test_two_alternating_calibrations_do_not_displace_a_third(path, irons):
     for number in (0, 1, 2, 1, 2, 1, 2):
         irons(number)

@@ -224,6 +224,7 @@ def test_hardly_any_samples_are_reported_too(tmp_path, samples):
     assert f"Only {samples} samples" in words
 
 
+@pytest.mark.nightly
 def test_pictures_are_drawn_even_of_zeros(tmp_path):
     nothing = np.zeros((30, 3))
     window = Window(np.arange(30), nothing, nothing, nothing)

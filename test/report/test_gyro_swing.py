@@ -53,6 +53,7 @@ def test_the_drawn_swing_of_a_leaning_car_is_the_judged_one(recording):
     assert f"{judged:.1f}° rms beyond noise, which is graded" in words
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("swing_deg", first_of([12.0, 20.0]))
 def test_the_drawn_swing_in_a_distorted_room_is_the_judged_one(swing_deg):
     rng = np.random.default_rng(4)

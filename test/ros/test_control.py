@@ -201,6 +201,7 @@ def test_a_verdict_without_a_caller_is_given_once_to_the_next_finish():
     control.shut_down()
 
 
+@pytest.mark.nightly
 def test_the_window_has_the_speed_of_the_wheels():
     house = House()
     house.wheel_speed = lambda stamp: 1e-3 * (stamp - 1000.0)
@@ -211,6 +212,7 @@ def test_the_window_has_the_speed_of_the_wheels():
     control.shut_down()
 
 
+@pytest.mark.nightly
 def test_the_window_has_the_current_of_the_battery():
     class Holding(House):
         """A robot whose battery reports another current with every sample."""

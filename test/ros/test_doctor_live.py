@@ -79,6 +79,7 @@ def examined(graph):
     return run
 
 
+@pytest.mark.nightly
 def test_a_mirrored_gyro_is_named_after_the_guided_half_minute(examined):
     def mirrored(sample):
         if not isinstance(sample, ImuSample):

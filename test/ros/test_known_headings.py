@@ -50,6 +50,7 @@ def dock(actor, heading, reported=lambda yaw: yaw, north="magnetic_north"):
     return actor.answer(actor.call("calibrate_at_heading"))
 
 
+@pytest.mark.nightly
 def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home):
     actor = stage(parameters=PLACE, speed=SPEED)
     nothing = actor.answer(actor.call("calibrate_at_heading"))

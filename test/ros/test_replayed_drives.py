@@ -92,6 +92,7 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
     assert fused <= 2.5
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "rate"),
     [

@@ -47,6 +47,7 @@ def complaints(actor, words):
     return stated[-1]
 
 
+@pytest.mark.nightly
 def test_the_description_gives_the_mounting_and_the_base_frame(stage):
     actor = stage(UPSIDE_DOWN, DESCRIBED, speed=8.0)
     describe(actor)

@@ -89,6 +89,7 @@ sys.exit(main.main())
 """
 
 
+@pytest.mark.nightly
 def test_a_signal_while_a_call_blocks(run_node, tmp_path):
     path = store_calibration(tmp_path / "calibration.yaml")
     process, actor = run_node("-p", f"calibration_file:={path}", code=("-c", HANGING))

@@ -25,11 +25,13 @@ def named(dip, knowledge, iron=(12.0, -7.0, 10.0), wobble=None):
     return any(finding.remedy.endswith(FIELD_POINTS_UP) for finding in findings)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("dip", first_of([-64.0, 64.0]))
 def test_a_field_that_points_up_is_named_after_a_level_turn(dip):
     assert named(dip, knowledge_of(48.0, inclination_deg=-dip))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "iron", first_of([(12.0, -7.0, 10.0), (40.0, 0.0, -40.0), (0.0, 0.0, 40.0)])
 )

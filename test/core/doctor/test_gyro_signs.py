@@ -49,6 +49,7 @@ def test_a_missing_gyro_gives_no_finding_on_signs():
 PLACE = knowledge_of(48.0, inclination_deg=64.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("knowledge", first_of([PLACE, Knowledge()]))
 @pytest.mark.parametrize(
     ("source", "alive"), [(2, 0), (2, 2), pytest.param(2, 1, marks=pytest.mark.nightly)]

@@ -64,6 +64,7 @@ def test_a_fault_is_named_alone(name):
     assert wrong(report_of(case, fault(rng, case.log))) == set(keys)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "pair",
     first_of(
@@ -188,6 +189,7 @@ def test_the_sigma_of_a_latency_is_correct():
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("off", first_of([-3.0, 2.0, 1000.0]))
 def test_stamps_of_two_clocks_are_named_and_the_other_checks_are_made(off):
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
@@ -216,6 +218,7 @@ def test_a_turn_in_the_other_direction_is_no_fault_of_a_sensor():
     assert "turn left and check again" in line.remedy
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", first_of(HABITS))
 def test_good_sensors_of_other_robots_and_movements_have_no_fault(name):
     rng = np.random.default_rng([4, 3])
@@ -283,6 +286,7 @@ def test_short_logs_and_logs_at_rest_give_no_error_and_no_fault():
         assert wrong(report_of(case, short)) == set()
 
 
+@pytest.mark.nightly
 def test_only_the_correcting_mounting_is_offered():
     rng = np.random.default_rng([5, 10])
     case = good_case(rng, MOST_SEEN)
@@ -360,6 +364,7 @@ def test_a_robot_at_rest_shows_the_gyro_bias_and_no_wrong_axes():
     assert lines["gyro_bias"].evidence.startswith(("(3.48", "(3.49", "(3.5"))
 
 
+@pytest.mark.nightly
 def test_a_gyro_scale_error_by_one_turn_asks_for_another_turn():
     """Currents that rise during one turn move the field as another scale would."""
     case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
@@ -372,6 +377,7 @@ def test_a_gyro_scale_error_by_one_turn_asks_for_another_turn():
     assert line.remedy.startswith("check again: stand still, turn a full")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", first_of([(57.3, "57.3 times too large"), (1.0, "")]))
 def test_a_slow_turn_determines_the_unit_of_the_gyro(case):
     """In half a second a robot that turns by 15 degrees a second shows too little of it."""

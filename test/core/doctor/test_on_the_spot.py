@@ -27,6 +27,7 @@ def log_of(radius, added):
     return SensorLog(time, force, rates, time, field)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", first_of([(0.6, True), (11.0, False), (0.0, True)]))
 def test_a_drive_before_a_circle_is_not_taken_for_motors(case):
     radius, is_named = case

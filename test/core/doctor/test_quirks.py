@@ -181,6 +181,7 @@ def test_a_fit_names_the_unit_by_the_strength_too(method):
     assert "gauss" not in words
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of(range(100)))
 def test_no_driver_is_named_where_nothing_is_wrong(seed):
     case = case_of(seed)
@@ -188,6 +189,7 @@ def test_no_driver_is_named_where_nothing_is_wrong(seed):
     assert not any(quirk.driver in lines for quirk in QUIRKS)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of(range(1, 51)))
 def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     """Gazebo turns the world's north, east and down into the robot's axes as if they were ENU."""
@@ -201,6 +203,7 @@ def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     assert any("NED" in line for line in lines)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([5, *range(5), *range(6, 20)], 2))
 def test_a_field_that_points_up_is_named_where_the_reference_is_uncertain(seed):
     """What the reference is off by looked as if the movement contradicted the other sign."""

@@ -77,6 +77,7 @@ def test_a_dead_z_axis_is_refused_before_the_fit(window, monkeypatch):
     assert "the gyro's z never changes" in outcome.verdict.summary
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("axes", "words"),
     [

@@ -49,6 +49,7 @@ def test_good_recorded_sensors_have_no_fault(recording, name):
     assert [f for f in report_of(recording(name)).findings if f.is_wrong] == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("bias", first_of([(2.0, -1.5, 1.0), (-2.0, 2.0, -3.0)]))
 def test_a_biased_gyro_has_no_wrong_axes_on_a_drive_that_begins_with_a_rest(recording, bias):
     """With the bias, the rates are largest while the vehicle stands."""

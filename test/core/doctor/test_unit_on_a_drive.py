@@ -37,6 +37,7 @@ def units(log):
     return [f for f in examine(log).findings if f.key == "rate_unit" and f.is_wrong]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of(range(8)))
 def test_degrees_for_radians_are_named(seed):
     log = log_of(seed)

@@ -195,6 +195,7 @@ def test_steel_beside_one_road_is_within_the_sigma():
     assert abs(gap_deg(found, 0.0)) < 2.5 * math.degrees(found.sigma)
 
 
+@pytest.mark.nightly
 def test_an_outage_and_houses_leave_a_correct_sigma():
     receiver = Receiver(multipath=0.03, outages=((40.0, 80.0),))
     legs = city(np.random.default_rng(9), 200.0)

@@ -151,6 +151,7 @@ def directions(drive, after):
     return np.array(true), np.array(taken)
 
 
+@pytest.mark.nightly
 def test_an_unsigned_speed_gets_its_sign_from_the_force():
     rng = np.random.default_rng(9)
     legs = joined(city(rng, 100.0), reversing(rng, 12, share=0.5))
@@ -168,6 +169,7 @@ UNSIGNED = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([13, 35]))
 def test_driving_backwards_right_after_forwards_is_detected(seed):
     """The forces of the way before, of another sign, are no part of what this one tells."""

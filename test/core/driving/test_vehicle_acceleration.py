@@ -40,6 +40,7 @@ def test_stop_and_go_does_not_tilt_up(case):
     assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "wheels",
     first_of(
@@ -75,6 +76,7 @@ def test_a_reversed_imu_is_detected_before_it_does_harm():
     assert np.percentile(with_it, 90) < np.percentile(without, 90)
 
 
+@pytest.mark.nightly
 def test_in_a_circle_by_fixes_alone_nothing_is_subtracted():
     drive = driven(circles(60.0), 4, VEHICLE, **KINDS["fixes"])
     with_it, without = tilts(drive, TravelEstimator()), tilts(drive)

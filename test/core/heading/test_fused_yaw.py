@@ -375,6 +375,7 @@ def test_a_rest_shows_the_gyro_bias():
     assert abs(fused.heading().yaw - heading.yaw) < math.radians(0.2)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("walk", first_of([3e-4, 0.0]))
 def test_external_headings_show_whether_gyro_or_compass_is_better(walk):
     rng = np.random.default_rng(3)
@@ -424,6 +425,7 @@ def test_headings_that_drift_before_they_stop_enlarge_the_variance():
     assert (np.abs(off) < 3.0 * np.array(sigma)).all()
 
 
+@pytest.mark.nightly
 def test_headings_by_an_integrated_gyro_that_rests_contradict_enlarge_the_variance():
     """They drift evenly, like a constant gyro bias: the error was 24° at a sigma of 1°."""
     rng = np.random.default_rng(92_000)

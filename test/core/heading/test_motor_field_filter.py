@@ -85,6 +85,7 @@ def test_a_start_before_its_current_is_not_taken_for_the_place(seed):
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("holding", first_of([2.0, 0.0, 4.0]))
 def test_a_battery_silent_at_rest_leaves_the_hold_current_uncertain(holding):
     known = replace(motors(), reference=-0.5)
@@ -110,6 +111,7 @@ def test_a_battery_that_stops_at_rest_keeps_the_field_of_the_place(later):
     assert np.mean((off[after] / sigma[after]) ** 2) < 1.5
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of(range(6)))
 def test_an_unreported_current_differs_from_the_speed(seed):
     rng = np.random.default_rng(seed)

@@ -208,6 +208,7 @@ def test_iron_near_one_does_not_enlarge_the_variance_of_the_other():
     assert not scene.several.disagreement
 
 
+@pytest.mark.nightly
 def test_two_that_agree_against_the_gyro_are_trusted():
     """The propagated yaw may be the wrong one."""
     scene = two()

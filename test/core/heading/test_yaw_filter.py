@@ -25,6 +25,7 @@ def test_rests_show_the_random_walk_of_the_bias_and_whether_the_robot_stands(wal
     assert math.sqrt(loss.rest_turn) == pytest.approx(turn, rel=0.5, abs=1e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("lasts", first_of([20.0, 0.0]))
 def test_headings_show_the_correlation_time_of_their_errors(lasts):
     rng, loss, sigma, wrong = np.random.default_rng(4), GyroDrift(), math.radians(1.0), 0.0

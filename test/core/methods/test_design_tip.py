@@ -99,6 +99,7 @@ class TestNoise:
         assert np.mean([e.noise_field for e in estimates]) == pytest.approx(0.5e-6, rel=0.05)
         assert np.mean([e.noise_up for e in estimates]) == pytest.approx(0.01, rel=0.05)
 
+    @pytest.mark.nightly
     @pytest.mark.parametrize(
         ("arc", "bound"), [(90.0, 1.0), pytest.param(180.0, 0.3, marks=pytest.mark.nightly)]
     )

@@ -112,6 +112,7 @@ def heading_ratio(estimate, robot):
     return float(np.mean(heading_errors(estimate.correction, robot, poses) ** 2 / variance))
 
 
+@pytest.mark.nightly
 def test_unobservable_numbers_have_a_large_variance():
     robot = Robot()
     window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3), gyro=True)
@@ -139,6 +140,7 @@ def test_a_passing_disturbance_is_left_out(size):
     assert rms_deg(fit(window, robot.knowledge()), robot) < 0.3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([30, 22, 24]))
 def test_a_strong_disturbance_is_not_taken_for_soft_iron(seed):
     robot = Robot()
@@ -147,6 +149,7 @@ def test_a_strong_disturbance_is_not_taken_for_soft_iron(seed):
     assert rms_deg(fit(window, robot.knowledge()), robot) < 0.5
 
 
+@pytest.mark.nightly
 def test_half_a_turn_of_a_robot_that_sways_strongly_is_near_the_limit():
     robot, rng = Robot(), np.random.default_rng(21)
     wobble = smooth_wobble(rng, 500, 15.0, 10 * DEGREE)
@@ -181,6 +184,7 @@ def test_soft_iron_can_be_ruled_out():
     assert fit(window, ruled_out).figures["soft_iron"] == 0.0
 
 
+@pytest.mark.nightly
 def test_a_gyro_improves_a_short_arc():
     robot = Robot()
     knowledge = robot.knowledge(0.03 * robot.strength, 2.0 * DEGREE)

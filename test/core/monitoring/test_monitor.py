@@ -116,6 +116,7 @@ def test_nothing_is_judged_before_there_is_enough_data():
     assert watch.result.summary.startswith("Not judged yet: ")
 
 
+@pytest.mark.nightly
 def test_an_uncertain_calibration_is_judged_by_its_sigma():
     poor = promise(heading_sigma=math.radians(4.0))
     watch = CalibrationMonitor(poor)
@@ -132,6 +133,7 @@ def test_memory_is_bounded_and_time_set_back_restarts_the_monitor():
     assert not watch.result.is_stale
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("hours", first_of([5.0, -0.2]))
 def test_a_jump_of_time_does_not_age_a_warning(hours):
     watch, _ = monitored([changed(4.0)], [9], seed=3)

@@ -107,6 +107,7 @@ def test_a_steady_gyro_bias_is_no_fault(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
+@pytest.mark.nightly
 def test_an_extra_turn_of_the_compass_near_iron_is_no_fault(calibration):
     """Iron takes the level field away for a moment: the compass goes once round by itself."""
     clean = window(seed=7, samples=6000, duration=120.0, arc=4 * math.tau)

@@ -43,6 +43,7 @@ def test_if_chance_reaches_the_bound_the_check_is_uncertain():
     assert "9" not in found.words
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("turns", [4, 40])
 def test_the_allowance_for_chance_covers_few_independent_parts(turns):
     """One bend of the field a turn of 30 s, and no swing: chance explains it 19 times of 20."""

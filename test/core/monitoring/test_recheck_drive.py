@@ -46,6 +46,7 @@ def test_iron_is_not_taken_for_a_street(driven, added):
     assert found.grade is Grade.REFUSED
 
 
+@pytest.mark.nightly
 def test_a_check_uses_the_hard_iron_by_the_drive(driven):
     window, calibration = driven
     changed = with_iron(window, 6.0, 0.0, 0.0)

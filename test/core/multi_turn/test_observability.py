@@ -16,6 +16,7 @@ def best_slope(multi_turn):
     return next(a for a in multi_turn.advice if "slope" in a.pose)
 
 
+@pytest.mark.nightly
 def test_after_a_level_turn_a_slope_across_north_is_advised(level):
     assert best_slope(level).pose.endswith(("east", "west"))
     assert "installation yaw from ±5° to ±0." in level.advice_in_words

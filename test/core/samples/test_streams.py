@@ -292,6 +292,7 @@ class TestPairs:
         assert [pair.field.stamp for pair in walk.pairs] == [1.005]
         assert walk.pairs[0].imu.force == pytest.approx(line(1.005).force)
 
+    @pytest.mark.nightly
     @examples(60)
     @given(
         st.data(),

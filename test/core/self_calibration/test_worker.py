@@ -83,6 +83,7 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     assert bool(made_elsewhere(found.calibration, of_another_place)) is is_known
 
 
+@pytest.mark.nightly
 def test_the_correct_one_is_likelier_in_both_halves(whole):
     assert whole.gain > 10.0
     assert min(whole.halves) > 5.0

@@ -76,6 +76,7 @@ def test_without_a_guard_the_turn_does_not_start_and_the_reason_is_given():
     assert not scene.stated
 
 
+@pytest.mark.nightly
 def test_the_turn_waits_for_a_slow_guard():
     scene = robot()
     scene.is_guarded = False
@@ -85,6 +86,7 @@ def test_the_turn_waits_for_a_slow_guard():
     assert scene.until_concluded().success
 
 
+@pytest.mark.nightly
 def test_the_robot_first_stands_still_so_that_a_rest_is_measured():
     scene = robot()
     scene.live(TUNING.stands_first - 0.3)
@@ -318,6 +320,7 @@ class TestBounds:
         assert "too busy to supervise the robot for 1" in scene.conclusion.message
         scene.assert_stopped_and_silent()
 
+    @pytest.mark.nightly
     def test_a_short_pause_of_the_supervision_is_allowed(self):
         scene = robot()
         scene.live(3.0)

@@ -29,6 +29,7 @@ def clock(battery, starts=(), stops=()):
     return Clock.of(battery, time, rate, turns == 0.0)
 
 
+@pytest.mark.nightly
 def test_the_mean_of_a_node_allows_for_the_latency_of_the_current():
     battery = battery_of(reported(pulse(STAMPS)), 0.5, 9.5)
     begin = np.arange(1.0, 9.0, 0.6)

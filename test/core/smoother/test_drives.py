@@ -140,6 +140,7 @@ def test_a_gyro_bias_that_changes_over_a_drive_of_90_minutes_does_no_harm():
     assert math.degrees(found.posterior.heading_sigma) < 0.85
 
 
+@pytest.mark.nightly
 def test_a_start_eighty_degrees_off_converges(drive):
     vehicle = dataclasses.replace(
         drive.vehicle,
@@ -296,6 +297,7 @@ def fit_about_z(drive, begin=0.0):
     return found, error, math.degrees(found.posterior.heading_sigma)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([190200, 190202, 190203, 190401]))
 def test_a_gyro_that_measures_about_z_alone_calibrates_a_drive(seed):
     """The tilt of a car on a road is limited: a larger one is acceleration."""
@@ -304,6 +306,7 @@ def test_a_gyro_that_measures_about_z_alone_calibrates_a_drive(seed):
     assert error < 2.5 * stated < 8.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([192500, 192501, 192502, 192503]))
 def test_without_a_rest_a_gyro_about_z_alone_leaves_open_whether_the_robot_drives(seed):
     """A steady circle tilts the force as a leaning robot on the spot does."""
@@ -313,6 +316,7 @@ def test_without_a_rest_a_gyro_about_z_alone_leaves_open_whether_the_robot_drive
     assert error < 2.5 * stated
 
 
+@pytest.mark.nightly
 def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
     """Where nothing passes the robot, streets that change from place to place stay as large."""
     drive = driven(12, 120.0)

@@ -223,6 +223,7 @@ def test_headings_to_true_north_share_the_declinations_error():
     assert shared**2 - alone**2 == pytest.approx((0.5 * DEGREE) ** 2, rel=0.4)
 
 
+@pytest.mark.nightly
 def test_measurements_accumulate_and_a_repeated_one_is_replaced():
     kept, sigmas = (), []
     for each in measurements():

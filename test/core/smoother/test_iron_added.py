@@ -87,6 +87,7 @@ def from_a_stop(seed):
     return drive, drive.time[-1] - 30.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("quarter", first_of(range(4)))
 def test_iron_added_at_rest_is_found_before_a_turn(quarter):
     drive, start = from_a_stop(5)

@@ -36,6 +36,7 @@ def joint(alone: list[Fit]) -> JointFit:
     return fit_jointly(alone, SIGMA)
 
 
+@pytest.mark.nightly
 def test_turns_of_one_robot_share_only_the_calibration(joint: JointFit) -> None:
     one, other = (fit.state.shared for fit in joint.fits)
     for name in ("iron", "installation", "turned", "earth", "soft_iron"):

@@ -147,6 +147,7 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
     return collected(Window(*(thinned(values) for values in each)))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("every", "means"),
     [

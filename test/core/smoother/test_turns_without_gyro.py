@@ -128,6 +128,7 @@ def test_the_size_of_the_sway_is_unbiased(height):
     assert abs(np.mean(ratios)) < 0.025
 
 
+@pytest.mark.nightly
 def test_a_dead_axis_is_not_used():
     """On a slope the body leans all round, which the dead axes say it does not."""
     motion = turn(start_rpy=(0.15, 0.0, 0.3))
@@ -140,6 +141,7 @@ def test_a_dead_axis_is_not_used():
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
 
 
+@pytest.mark.nightly
 def test_a_gyro_of_zeros_counts_as_absent(level):
     window, one = level
     other = fit(replace(window, angular_rate=np.zeros((len(window), 3))), known(ROBOT))
