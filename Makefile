@@ -21,7 +21,7 @@ INSTALL := install() { $(UV) "$$@" 2>/dev/null || $(PIP) "$$@"; }; install
 
 AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
-BY_FOUR := --numprocesses 4 --dist worksteal
+BY_THREE := --numprocesses 3 --dist worksteal
 
 # Each process would rewrite the asserts of all tests, to say more where one fails: seconds of a
 # core. Instead what failed runs once more with the words, and has failed all the same.
@@ -68,7 +68,7 @@ ROS_TESTS := $(PYTEST)ros test/ros
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(ROS_TESTS) $(PLAIN) $(BY_FOUR) $(STALLED) || $(ROS_TESTS) $(ALONE)
+	$(ROS_TESTS) $(PLAIN) $(BY_THREE) $(STALLED) || $(ROS_TESTS) $(ALONE)
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test
