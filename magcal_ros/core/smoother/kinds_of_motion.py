@@ -57,7 +57,9 @@ DIFFERENT_TURNS = (
 
 ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
 """Kinds of motion that are also fitted if a turn on the spot explains the samples."""
-ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
+ROUGH, IMPOSSIBLE_BEYOND = Tolerances(rounds=20), 400.0
+"""Tolerances of a first, rough fit of a kind of motion, and the difference of minus twice the log
+evidence from the best one beyond which a kind is not used, even if the best one is implausible."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
@@ -252,12 +254,13 @@ class _MotionFits:
 
     @property
     def _usual_fits(self) -> dict[str, Fit]:
-        """The fits with a plausible noise of the gyro, or all if there are none.
+        """The possible fits with a plausible noise of the gyro, or all possible ones.
 
         Implausible noise indicates a wrong kind of motion, if another kind needs none.
         """
-        usual = {name: each for name, each in self.fits.items() if gyro_is_usual(each)}
-        return usual or self.fits
+        most = min(each.evidence for each in self.fits.values()) + IMPOSSIBLE_BEYOND
+        possible = {name: each for name, each in self.fits.items() if each.evidence < most}
+        return {n: f for n, f in possible.items() if gyro_is_usual(f)} or possible
 
     @property
     def _likeliest(self) -> str:
