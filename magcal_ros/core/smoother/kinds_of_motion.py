@@ -57,9 +57,7 @@ DIFFERENT_TURNS = (
 
 ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
 """Kinds of motion that are also fitted if a turn on the spot explains the samples."""
-ROUGH, IMPOSSIBLE_BEYOND = Tolerances(rounds=20), 400.0
-"""Tolerances of a first, rough fit of a kind of motion, and the difference of minus twice the log
-evidence from the best one beyond which a kind is not used, even if the best one is implausible."""
+ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
@@ -183,7 +181,7 @@ class _MotionFits:
         others = [
             each.evidence + (own - math.log(self._usual.get(other, 1.0))) / EVIDENCE_WEIGHT
             for other, each in self.fits.items()
-            if other != name and gyro_is_usual(each)
+            if other != name
         ]
         return min(others, default=math.inf)
 
@@ -250,22 +248,10 @@ class _MotionFits:
         for name in [*(other for other in self.fits if other != first), first]:
             if name != self._likeliest:
                 self.add(name, self.fits[self._likeliest])
-        self.fits = self._usual_fits
-
-    @property
-    def _usual_fits(self) -> dict[str, Fit]:
-        """The possible fits with a plausible noise of the gyro, or all possible ones.
-
-        Implausible noise indicates a wrong kind of motion, if another kind needs none.
-        """
-        most = min(each.evidence for each in self.fits.values()) + IMPOSSIBLE_BEYOND
-        possible = {name: each for name, each in self.fits.items() if each.evidence < most}
-        return {n: f for n, f in possible.items() if gyro_is_usual(f)} or possible
 
     @property
     def _likeliest(self) -> str:
-        fits = self._usual_fits
-        return min(fits, key=lambda name: fits[name].evidence)
+        return min(self.fits, key=lambda name: self.fits[name].evidence)
 
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
