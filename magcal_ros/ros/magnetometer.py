@@ -299,7 +299,9 @@ class Control:
                     self._preview(command)
                 case tm.FitTurn():
                     self._fit(command)
-                case tm.PutInForce(calibration):
+                case tm.PutInForce(calibration, gyro):
+                    if gyro is not None:
+                        self._pipeline.up.take_bias(gyro)
                     # A failure to store it appears in the message only.
                     saved = partial(self.tell, self.turn.note_saved)
                     self._magnetometer.use(calibration, lambda done: saved(done.message))

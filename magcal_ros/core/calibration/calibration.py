@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.samples.rest import FittedGyroBias
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,8 @@ class Estimate:
     swing: GyroSwing | None = None
     """The data of `Figure.GYRO_COMPASS_SWING`, if gyro and compass were compared."""
     motors: MotorField | None = None  # the field of the running motors, if the method finds it
+    gyro: FittedGyroBias | None = None
+    """The gyro's bias; None without a whole gyro, or if a rest in the window has shown it."""
 
     def __post_init__(self) -> None:
         freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))

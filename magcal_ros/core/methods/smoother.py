@@ -17,6 +17,7 @@ from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
@@ -201,7 +202,16 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
         message=best.message,
         swing=swing,
         motors=motors_of(posterior, best),
+        gyro=_gyro_bias(best, window),
     )
+
+
+def _gyro_bias(best: Fit, window: Window) -> FittedGyroBias | None:
+    """Return the gyro's bias; None if it was subtracted from the window, or axes are missing."""
+    if math.isfinite(window.bias_sigma) or not all(working_axes(window.angular_rate)):
+        return None
+    rows = AT["gyro_bias"]
+    return FittedGyroBias(best.state.shared[rows], best.covariance[rows, rows])
 
 
 def _wobble(best: Fit) -> float:

@@ -243,7 +243,7 @@ def joint_estimate(
         figures[Figure.INSTALLATION_YAW_SIGMA] = yaw_sigma(fit.covariance)
     arc = max(each.arc for each in answers)
     words = f"{len(turns)} turns {'converged' if fit.converged else 'did not converge'} together"
-    return replace(estimate, arc=arc, figures=figures, message=words)
+    return replace(estimate, arc=arc, figures=figures, message=words, gyro=None)
 
 
 def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:

@@ -33,6 +33,13 @@ BIAS_CHANGE = 0.03
 """Relative change of a bias from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
 
+class FittedGyroBias(NamedTuple):
+    """A gyro's bias as the fit of a calibration finds it."""
+
+    rate: FloatArray  # rad/s, body axes. Shape (3,).
+    covariance: FloatArray  # (rad/s)². Shape (3, 3).
+
+
 class GyroAtRest(NamedTuple):
     """A gyro's bias, measured at a rest."""
 

@@ -17,6 +17,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.multi_turn.result import KeptTurns
 from magcal_ros.core.samples.battery import Messages
+from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.rotation import planned_duration
@@ -58,6 +59,7 @@ class PutInForce:
     """Use a calibration from now on and store it; answered by `note_saved`."""
 
     calibration: Calibration
+    gyro: FittedGyroBias | None = None  # the gyro's bias by the same fit
 
 
 @dataclass(frozen=True)
@@ -329,7 +331,8 @@ class TurnMachine:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
             self._stage = Saving(words, ending)
-            self._commands.append(PutInForce(outcome.calibration))
+            gyro = None if outcome.estimate is None else outcome.estimate.gyro
+            self._commands.append(PutInForce(outcome.calibration, gyro))
         else:
             remedy = "~/accept puts the new one in force anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")

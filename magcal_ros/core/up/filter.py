@@ -279,6 +279,23 @@ class UpFilter:
         reads[:, 3:6] = shown
         self._correct(reads, variance, shown @ (rate - self.state[3:6]))
 
+    def replace_tilting_bias(self, rate: FloatArray, covariance: FloatArray) -> bool:
+        """Replace the bias across up by a more certain one; return whether it is.
+
+        `rate` (3,) is in rad/s, `covariance` (3, 3) in (rad/s)². Up and velocity follow the bias as
+        they are correlated with it. The new estimate is by the same samples and the field: it is no
+        further measurement.
+        """
+        reads = np.zeros((2, 12))
+        reads[:, 3:6] = across = np.linalg.svd(self.state[None, :3])[2][1:]
+        own, new = reads @ self.covariance @ reads.T, across @ covariance @ across.T
+        is_better = bool(np.trace(new) < np.trace(own))
+        if is_better:
+            follow = np.linalg.solve(own, reads @ self.covariance).T
+            self.state += follow @ (across @ rate - reads @ self.state)
+            self.covariance += follow @ (new - own) @ follow.T
+        return is_better
+
     def admit_bias(self, rate: FloatArray) -> None:
         """Widen the covariance of the bias if a measured one is far outside it."""
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]

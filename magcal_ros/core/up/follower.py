@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.rest import FittedGyroBias, GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
@@ -248,6 +248,15 @@ class UpFollower:
             self._levelling = Levelling(force)
         now = propagation if self._levelling is None else self._levelling
         self._ups.append((stamp, now.up, now.variance))
+
+    def take_bias(self, fitted: FittedGyroBias) -> None:
+        """Use the gyro's bias as a calibration found it.
+
+        In a steady circle a bias tilts up. The accelerometer alone cannot separate this tilt from
+        the centripetal acceleration; with the field a fit can.
+        """
+        if self.is_propagated:
+            self._propagation.take_bias(fitted)
 
     def _whole_rate(self, sample: ImuSample, force: Triple) -> Triple | None:
         """Return the rate of a sample, None without one; if axes are dead, that about up."""

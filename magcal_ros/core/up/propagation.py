@@ -21,6 +21,7 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.knowledge import CLEAR
+from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.up.filter import FILTER, PROPAGATION, REST, MotionPrior, UpFilter
 from magcal_ros.core.up.stillness import (
     ZERO,
@@ -121,6 +122,11 @@ class GyroPropagation:
             self._block = Block()
             self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
             self._end(block)
+
+    def take_bias(self, fitted: FittedGyroBias) -> None:
+        """Use the bias of a fit as far as it tilts up, unless that by the filter is better."""
+        if not self.tilt_is_hidden and self._filter.replace_tilting_bias(*fitted):
+            self._take_over()
 
     def _measure_noise(self, force: float, rate: float, seconds: float) -> None:
         """Update the noise with the differences of two messages."""

@@ -1,12 +1,14 @@
 """One turn in virtual time: the commands, their order, and the answers."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from long_form import first_of
 from scene import BAD, GOOD, SHORT, Scene
 
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples import FittedGyroBias, ImuSample
 from magcal_ros.core.session import FitTurn, Preview, PutInForce, TurnState
 
 
@@ -34,6 +36,14 @@ def test_a_turn_is_fitted_put_in_force_stored_and_reported():
     assert GOOD.verdict.summary in conclusion.message
     assert scene.turn.state is TurnState.IDLE
     assert scene.turn.last_conclusion is conclusion
+
+
+def test_the_bias_of_the_gyro_comes_with_the_calibration():
+    scene, found = Scene(), FittedGyroBias(np.zeros(3), np.eye(3))
+    scene.outcome = replace(GOOD, estimate=replace(GOOD.estimate, gyro=found))
+    scene.open()
+    scene.live(40.0, 0.5, stop=lambda: bool(scene.in_force))
+    assert [command.gyro for command in asked_for(scene, PutInForce)] == [found]
 
 
 def test_a_refused_turn_keeps_the_calibration_in_force_and_names_the_remedy():
