@@ -133,9 +133,12 @@ class Drive:
         """Return the error of a heading on the whole recording."""
         if self.truth is None:
             return None
-        yaw = np.unwrap(heading(self.up, self.everything.field))
-        gap, _ = self._gap(yaw, self.delay)
+        gap, _ = self.gap_of(heading, self.up)
         return _score(gap) if len(gap) >= LEAST_SCORED else None
+
+    def gap_of(self, heading: Heading, up: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return yaw minus truth without its mean, radians, and its stamps, by an up (n, 3)."""
+        return self._gap(np.unwrap(heading(up, self.everything.field)), self.delay)
 
     def _gap(self, yaw: FloatArray, delay: float) -> tuple[FloatArray, FloatArray]:
         """Return yaw minus truth without its mean, and its stamps."""

@@ -41,9 +41,12 @@ class House:
     """The functions of a node for a turn, without an effect."""
 
     def __init__(self):
-        self.errors, self.reporter = [], self
+        self.errors, self.reporter, self.biases = [], self, []
         self.fits = self.files = AtOnce()
-        self.travel = self.estimator = self.motors = self
+        self.travel = self.estimator = self.motors = self.up = self
+
+    def take_bias(self, found):
+        self.biases.append(found)
 
     def use(self, _, tell):
         tell(Conclusion(True, "In force."))
@@ -199,6 +202,14 @@ def test_a_verdict_without_a_caller_is_given_once_to_the_next_finish():
     assert answer.message.startswith("Calibrated")
     assert "~/start" in control.finish().message
     control.shut_down()
+
+
+def test_up_gets_the_bias_of_the_gyro_by_a_turn_without_a_rest():
+    house = House()
+    assert turn_in(house).success
+    (found,) = house.biases
+    off = found.rate - ROBOT.gyro_bias
+    assert off @ np.linalg.solve(found.covariance, off) < 16.0
 
 
 @pytest.mark.nightly

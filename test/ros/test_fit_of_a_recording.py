@@ -14,6 +14,7 @@ from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.session import Conclusion, SampleCollector, SelfTurn, fit_collected
 from magcal_ros.core.simulation import Robot
+from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.magnetometer import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.parameters import Settings
@@ -33,6 +34,7 @@ class House:
     def __init__(self):
         self.reporter = self.fits = self.files = self
         self.travel = self.estimator = self.motors = self
+        self.up = UpFollower()
 
     def use(self, _, tell):
         tell(Conclusion(True, ""))
