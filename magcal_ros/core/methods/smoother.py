@@ -30,6 +30,7 @@ from magcal_ros.core.smoother.factors import (
 )
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
+from magcal_ros.core.smoother.joint import rows_of
 from magcal_ros.core.smoother.kinds_of_motion import (
     DIFFERENT_TURNS,
     Smoothed,
@@ -207,11 +208,18 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
 
 
 def _gyro_bias(best: Fit, window: Window) -> FittedGyroBias | None:
-    """Return the gyro's bias; None if it was subtracted from the window, or axes are missing."""
+    """Return the gyro's error at the mean rate of a window, by bias, scale and misalignment.
+
+    In an even turn their sum is better known than each, and it is what tilts up. None if a bias was
+    subtracted from the window, or axes are missing.
+    """
     if math.isfinite(window.bias_sigma) or not all(working_axes(window.angular_rate)):
         return None
-    rows = AT["gyro_bias"]
-    return FittedGyroBias(best.state.shared[rows], best.covariance[rows, rows])
+    nodes, rows = best.model.nodes, rows_of(("gyro_bias", "gyro_matrix"))
+    rate = nodes.angle.sum(axis=0) / nodes.seconds.sum()
+    by = np.hstack([np.eye(3), np.kron(np.eye(3), rate)])
+    covariance = by @ best.covariance[np.ix_(rows, rows)] @ by.T
+    return FittedGyroBias(by @ best.state.shared[rows], covariance)
 
 
 def _wobble(best: Fit) -> float:
