@@ -34,7 +34,7 @@ BIAS_CHANGE = 0.03
 
 
 class FittedGyroBias(NamedTuple):
-    """A gyro's bias as the fit of a calibration finds it, with its other errors at the mean rate."""
+    """A gyro's error at the mean rate of a window, by the fit of a calibration."""
 
     rate: FloatArray  # rad/s, body axes. Shape (3,).
     covariance: FloatArray  # (rad/s)². Shape (3, 3).
