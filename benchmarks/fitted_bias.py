@@ -42,12 +42,10 @@ def followed_up(drive: Drive, estimate: Estimate, moment: float, *, takes: bool)
 
 
 def error_after(drive: Drive, estimate: Estimate, moment: float, *, takes: bool) -> float:
-    """Return the RMS of the heading after a moment against the truth, degrees."""
+    """Return the RMS of the heading after a moment against the truth, degrees; NaN if unknown."""
     up = followed_up(drive, estimate, moment, takes=takes)
-    gap, time = drive.gap_of(heading_by(estimate.correction), up)
-    late = gap[time > moment]
-    left = np.angle(np.exp(1j * late) / np.mean(np.exp(1j * late)))
-    return math.degrees(math.sqrt(float(np.mean(left**2))))
+    score = drive.score(heading_by(estimate.correction), up, since=moment)
+    return math.nan if score is None else score.rms
 
 
 def main() -> None:

@@ -129,24 +129,25 @@ class Drive:
             return None
         return _score(self._drifted(self.delay))
 
-    def score(self, heading: Heading) -> Score | None:
-        """Return the error of a heading on the whole recording."""
+    def score(
+        self, heading: Heading, up: FloatArray | None = None, since: float = -math.inf
+    ) -> Score | None:
+        """Return the error of a heading by an up (n, 3) from a stamp on, by default of all."""
         if self.truth is None:
             return None
-        gap, _ = self.gap_of(heading, self.up)
+        yaw = heading(self.up if up is None else up, self.everything.field)
+        gap, _ = self._gap(np.unwrap(yaw), self.delay, since)
         return _score(gap) if len(gap) >= LEAST_SCORED else None
 
-    def gap_of(self, heading: Heading, up: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return yaw minus truth without its mean, radians, and its stamps, by an up (n, 3)."""
-        return self._gap(np.unwrap(heading(up, self.everything.field)), self.delay)
-
-    def _gap(self, yaw: FloatArray, delay: float) -> tuple[FloatArray, FloatArray]:
-        """Return yaw minus truth without its mean, and its stamps."""
+    def _gap(
+        self, yaw: FloatArray, delay: float, since: float = -math.inf
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return yaw minus truth without its mean, and its stamps, which are after `since`."""
         assert self.truth is not None
         stamps = self.everything.time
         time = self.truth.time - delay
         lean = np.interp(time, stamps, np.arccos(np.clip(self.up[:, 2], -1.0, 1.0)))
-        seen = (time > stamps[0]) & (time < stamps[-1]) & (lean < STEEPEST)
+        seen = (time > max(stamps[0], since)) & (time < stamps[-1]) & (lean < STEEPEST)
         gap = np.interp(time[seen], stamps, yaw) - self.truth.yaw[seen]
         return wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap)))), time[seen]
 

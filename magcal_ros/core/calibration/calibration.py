@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.rest import FittedGyroBias
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,13 @@ class GyroSwing:
     rms: float  # RMS of the deviation without the noise of the means, radians
 
 
+class FittedGyroBias(NamedTuple):
+    """A gyro's error at the mean rate of a window, as one bias, by the fit of a calibration."""
+
+    rate: FloatArray  # rad/s, body axes. Shape (3,).
+    covariance: FloatArray  # (rad/s)². Shape (3, 3).
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The result of one method on one window."""
@@ -78,7 +85,7 @@ class Estimate:
     """The data of `Figure.GYRO_COMPASS_SWING`, if gyro and compass were compared."""
     motors: MotorField | None = None  # the field of the running motors, if the method finds it
     gyro: FittedGyroBias | None = None
-    """The gyro's bias; None without a whole gyro, or if a rest in the window has shown it."""
+    """The gyro's error; None without a whole gyro, or if a bias from a rest was subtracted."""
 
     def __post_init__(self) -> None:
         freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))

@@ -141,7 +141,7 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     refusal = _wrong_gyro(window, knowledge)
     if refusal is not None or window.angular_rate is None:
         return refusal
-    certain = _refusal_by_axes(window, knowledge, least=Grade.REFUSED)
+    certain = _refusal_by_comparison(window, knowledge, least=Grade.REFUSED)
     return None if certain is None else wrong_stamps(window) or certain
 
 
@@ -169,7 +169,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     if rate is None or len(window) < 3:
         return None
     if rate.any() and not np.ptp(rate, axis=0).any():
-        return _refusal_by_axes(window, knowledge, ("frozen",))
+        return _refusal_by_comparison(window, knowledge, ("frozen",))
     if up_axis(window.specific_force) in dead_axes(rate):
         return Refusal(
             Reason.AXES_DISAGREE,
@@ -179,7 +179,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         )
     segment = segment_of_log(SensorLog.of_window(window))
     if segment is not None and set(rate_factors(segment) or ()) - {1.0}:
-        return _refusal_by_axes(window, knowledge, ("rate_unit",))
+        return _refusal_by_comparison(window, knowledge, ("rate_unit",))
     return None
 
 
@@ -199,10 +199,10 @@ def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> R
 
 def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal of a turn that was not detected, or that for the faults behind it."""
-    return _wrong_gyro(window, knowledge) or _refusal_by_axes(window, knowledge) or refusal
+    return _wrong_gyro(window, knowledge) or _refusal_by_comparison(window, knowledge) or refusal
 
 
-def _refusal_by_axes(
+def _refusal_by_comparison(
     window: Window,
     knowledge: Knowledge,
     keys: tuple[str, ...] = AXES_KEYS,

@@ -8,7 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
+from magcal_ros.core.calibration.calibration import (
+    Estimate,
+    FittedGyroBias,
+    GyroSwing,
+    Installation,
+)
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import accumulated
@@ -17,7 +22,6 @@ from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
@@ -210,8 +214,8 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
 def _gyro_bias(best: Fit, window: Window) -> FittedGyroBias | None:
     """Return the gyro's error at the mean rate of a window, by bias, scale and misalignment.
 
-    In an even turn their sum is better known than each, and it is what tilts up. None if a bias was
-    subtracted from the window, or axes are missing.
+    In an even turn their sum is known better than each of them, and it is the sum that makes up
+    lean. None if a bias was subtracted from the window, or axes are missing.
     """
     if math.isfinite(window.bias_sigma) or not all(working_axes(window.angular_rate)):
         return None

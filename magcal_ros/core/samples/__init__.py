@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     coverage: BINS Coverage thin_to_equal_angles yaw_progress
     drive_log: DriveRecorder log_of
     gravity: gravity_in_body gravity_size
-    rest: COLUMNS FittedGyroBias GyroAtRest rests_around
+    rest: COLUMNS GyroAtRest rests_around
     spikes: spikes_replaced
     streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
         StampGuard Streams VelocitySample

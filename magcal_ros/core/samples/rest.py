@@ -33,13 +33,6 @@ BIAS_CHANGE = 0.03
 """Relative change of a bias from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
 
-class FittedGyroBias(NamedTuple):
-    """A gyro's error at the mean rate of a window, by the fit of a calibration."""
-
-    rate: FloatArray  # rad/s, body axes. Shape (3,).
-    covariance: FloatArray  # (rad/s)². Shape (3, 3).
-
-
 class GyroAtRest(NamedTuple):
     """A gyro's bias, measured at a rest."""
 

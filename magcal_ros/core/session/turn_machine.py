@@ -13,11 +13,10 @@ from enum import Enum
 from typing import ClassVar, TypeAlias
 
 from magcal_ros.core.calibrate import JOINS, Outcome
-from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration, FittedGyroBias
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.multi_turn.result import KeptTurns
 from magcal_ros.core.samples.battery import Messages
-from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.rotation import planned_duration
@@ -59,7 +58,7 @@ class PutInForce:
     """Use a calibration from now on and store it; answered by `note_saved`."""
 
     calibration: Calibration
-    gyro: FittedGyroBias | None = None  # the gyro's bias by the same fit
+    gyro: FittedGyroBias | None = None  # the gyro's error by the same fit
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ class _MotionFits:
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         known, rival = self.fits.get(name), math.inf
         if like is not None and like is not known:
-            # Other fits may still improve much, slowly, while their places are computed.
+            # A first fit, or one that is continued, may improve slowly for many rounds.
             rival = self._equal_weight(name)
         try:
             found = fit(*start, tolerances, like, report, rival)

@@ -279,12 +279,12 @@ class UpFilter:
         reads[:, 3:6] = shown
         self._correct(reads, variance, shown @ (rate - self.state[3:6]))
 
-    def replace_tilting_bias(self, rate: FloatArray, covariance: FloatArray) -> bool:
-        """Replace the bias across up by a more certain one; return whether it is.
+    def replace_bias_across_up(self, rate: FloatArray, covariance: FloatArray) -> bool:
+        """Replace the bias across up by another estimate if that is more certain.
 
         `rate` (3,) is in rad/s, `covariance` (3, 3) in (rad/s)². Up and velocity follow the bias as
-        they are correlated with it. The new estimate is by the same samples and the field: it is no
-        further measurement.
+        they are correlated with it. The other estimate contains the same samples, so it is not an
+        independent measurement. Returns whether the bias was replaced.
         """
         reads = np.zeros((2, 12))
         reads[:, 3:6] = across = np.linalg.svd(self.state[None, :3])[2][1:]

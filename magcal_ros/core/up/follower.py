@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import FittedGyroBias
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
@@ -21,7 +22,7 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.rest import FittedGyroBias, GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
@@ -250,10 +251,10 @@ class UpFollower:
         self._ups.append((stamp, now.up, now.variance))
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
-        """Use the gyro's bias as a calibration found it.
+        """Use the gyro's bias as the fit of a calibration found it.
 
-        In a steady circle a bias tilts up. The accelerometer alone cannot separate this tilt from
-        the centripetal acceleration; with the field a fit can.
+        In a steady circle, an unknown bias makes the estimated up lean. The accelerometer alone
+        cannot separate this lean from the centripetal acceleration; a fit with the field can.
         """
         if self.is_propagated:
             self._propagation.take_bias(fitted)

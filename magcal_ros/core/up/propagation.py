@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import FittedGyroBias
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
@@ -21,7 +22,6 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.rest import FittedGyroBias
 from magcal_ros.core.up.filter import FILTER, PROPAGATION, REST, MotionPrior, UpFilter
 from magcal_ros.core.up.stillness import (
     ZERO,
@@ -124,8 +124,8 @@ class GyroPropagation:
             self._end(block)
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
-        """Use the bias of a fit as far as it tilts up, unless that by the filter is better."""
-        if not self.tilt_is_hidden and self._filter.replace_tilting_bias(*fitted):
+        """Use the bias of a fit across up, unless the filter's own estimate is more certain."""
+        if not self.tilt_is_hidden and self._filter.replace_bias_across_up(*fitted):
             self._take_over()
 
     def _measure_noise(self, force: float, rate: float, seconds: float) -> None:

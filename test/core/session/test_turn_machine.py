@@ -8,7 +8,8 @@ import pytest
 from long_form import first_of
 from scene import BAD, GOOD, SHORT, Scene
 
-from magcal_ros.core.samples import FittedGyroBias, ImuSample
+from magcal_ros.core.calibration import FittedGyroBias
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session import FitTurn, Preview, PutInForce, TurnState
 
 

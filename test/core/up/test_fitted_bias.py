@@ -6,8 +6,9 @@ import math
 import numpy as np
 from circles import circles, known
 
+from magcal_ros.core.calibration import FittedGyroBias
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import FittedGyroBias, ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
 
 BIAS = (2.0, -1.5, 1.0)  # °/s
