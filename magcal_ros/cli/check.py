@@ -100,8 +100,9 @@ NOT_JUDGED = "This recording does not show whether the calibration holds."
 
 def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
-    found = [_row(finding) for finding in result.findings]
-    by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
+    measured = [finding for finding in result.findings if finding.bound is not None]
+    found = [_row(finding) for finding in measured]
+    by_chance = [f for f, row in zip(measured, found, strict=True) if row[-1] == "chance"]
     title = f"{result.sentence}." if result.is_judged else NOT_JUDGED
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"

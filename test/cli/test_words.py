@@ -77,7 +77,7 @@ def test_uncertain_findings_are_listed_separately():
     out = _words(recheck(0.0, 9.0), [])
     stale, uncertain = out.partition("Too uncertain to judge:")[::2]
     words = (
-        "  - the level field makes the heading swing by 8° (doubtful beyond 4°, stale beyond 7°)"
+        "  - the calibration makes the heading swing by 8° (doubtful beyond 4°, stale beyond 7°)"
     )
     assert stale.count(words) == 1
     assert "8°, no more than chance explains: too uncertain to judge; turn once" in uncertain

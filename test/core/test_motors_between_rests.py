@@ -10,7 +10,7 @@ from realistic_robots import heading_error, with_motors
 from remembered import remembered
 from uneven_turns import ROBOT, collected, driven, evenly
 
-from magcal_ros.core import Figure, calibrate
+from magcal_ros.core import Figure, calibrate, check
 from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
@@ -129,3 +129,17 @@ def test_without_a_gyro_the_unobservable_motor_field_is_reported(by_rate):
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
     assert "without a gyro, a part of it cannot be measured" in "; ".join(outcome.verdict.reasons)
+
+
+def test_a_check_does_not_take_the_motors_for_a_change_of_the_robot():
+    """The calibration is right at rest; the motors turn the compass only while the robot turns."""
+    scene, knowledge = with_motors("by rate", 7e-6)(303000)
+    window = collected(scene.window)
+    found = calibrate(window, knowledge).calibration
+    right = replace(found, correction=scene.robot.true_correction)
+    result = check(window, right)
+    swing, gyro, *_ = result.findings
+    assert swing.value < 2.0
+    assert result.state == "doubtful"
+    assert not gyro.is_judged
+    assert "iron nearby or the motors change the field" in gyro.words

@@ -9,6 +9,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     correction: AT_REST INPUTS MotorField MotorInput MotorState PARAMETERS
     figure: along
     heading_sigma: arc_sigma calibration_sigma every_figure heading_differences heading_jacobian
-        known_sigma predicted_heading_sigma sideways_acceleration
+        heading_swing known_sigma predicted_heading_sigma sideways_acceleration
     """,
 )

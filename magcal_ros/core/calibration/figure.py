@@ -86,10 +86,7 @@ class Figure(str, Enum):
     large."""
 
     HEADING_SWING = "heading_swing"
-    """RMS variation of the level field over headings, over its mean."""
-    STRENGTH_SPREAD = "strength_spread"
-    """RMS variation of the strength over headings, over the calibrated strength."""
-    DIP_SPREAD = "dip_spread"  # RMS variation of the dip over headings, radians
+    """RMS heading error of a calibration by a new fit, without its constant part, radians."""
     STRENGTH_OFFSET = "strength_offset"  # mean strength minus the calibrated one, over the latter
     DIP_OFFSET = "dip_offset"  # mean dip minus the calibrated inclination, radians
     HARD_IRON_CHANGE = "hard_iron_change"

@@ -10,7 +10,13 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate, yaw_j
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import field_in_enu, unit, wrap_angle, yaw_from_up_and_field
+from magcal_ros.core.geometry.attitude import (
+    field_in_enu,
+    mean_angle,
+    unit,
+    wrap_angle,
+    yaw_from_up_and_field,
+)
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.samples.window import Window
 
@@ -116,6 +122,17 @@ def rms_heading_difference(
     """Return the RMS of `heading_differences`, radians."""
     gap = heading_differences(right, other, strength, inclination)
     return math.sqrt(float(np.mean(gap**2)))
+
+
+def heading_swing(
+    right: Correction, other: Correction, strength: float, inclination: float
+) -> float:
+    """Return the RMS of `heading_differences` without their constant part, radians.
+
+    Without a known heading, samples do not show the constant part.
+    """
+    gap = heading_differences(right, other, strength, inclination)
+    return math.sqrt(float(np.mean(wrap_angle(gap - mean_angle(gap)) ** 2)))
 
 
 def _all_headings(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:

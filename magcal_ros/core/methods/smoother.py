@@ -16,7 +16,7 @@ from magcal_ros.core.calibration.calibration import (
 )
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import accumulated
+from magcal_ros.core.geometry.arrays import FloatArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
@@ -236,17 +236,25 @@ def _wobble(best: Fit) -> float:
 
 
 def _swing(found: Smoothed) -> GyroSwing:
-    """Return compass minus corrected gyro by sectors of heading, while the robot moves."""
-    best, nodes = found.fit, found.nodes
-    shared, course = best.state.shared, best.point.course
-    run = motor_inputs(course, shared)
+    """Return compass minus corrected gyro, the compass corrected by the fit."""
+    best = found.fit
+    shared = best.state.shared
+    run = motor_inputs(best.point.course, shared)
     motors = sum(share * shared[AT[name]] for name, share in run.items())
     motors = motors + best.state.local[:, BODY_FIELD]
     back = np.linalg.inv(distortion(shared))
-    body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
-    attitude = body_from_enu(best.state.attitude[:, :, 2], body)
-    moves = course.moving > 0.0
-    relative = chained(turned_by(nodes, shared)[None])[0]
+    return swing_of(found, (found.nodes.field - shared[AT["iron"]] - motors) @ back.T)
+
+
+def swing_of(found: Smoothed, field: FloatArray) -> GyroSwing:
+    """Return compass minus corrected gyro by sectors of heading, while the robot moves.
+
+    `field` (n, 3) is the compass's field at the nodes, in body axes and in any unit.
+    """
+    best, nodes = found.fit, found.nodes
+    attitude = body_from_enu(best.state.attitude[:, :, 2], field)
+    moves = best.point.course.moving > 0.0
+    relative = chained(turned_by(nodes, best.state.shared)[None])[0]
     return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
 
 

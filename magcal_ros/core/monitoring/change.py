@@ -45,10 +45,6 @@ class ChangeTuning:
     widest_hole: float = math.radians(100.0)  # radians of heading that may be missing for harmonics
     chance: float = 2.0  # sigmas that chance may reach in a recheck
     clearly: float = 4.0  # the same in one of many tests, and on a street
-    own_share: float = 0.25
-    """Largest swing that the calibration's sigma may explain, over the bound of stale. A rough
-    calibration that swings more must be made again whether or not anything has changed."""
-    largest_sigma: float = 0.06  # of added iron over level field; a larger one is inconclusive
     sectors: int = 4  # least courses, of eight, for a comparison with the compass
     longest_visit: float = 4.0  # seconds after which a visit is recorded in any case
 
@@ -110,26 +106,6 @@ class HarmonicFit:
         """Return the size of one harmonic, and the largest size by chance."""
         variance = float(np.trace(self.covariance[part, part])) / 2.0
         return float(np.hypot(*self.values[part])), self.chance * math.sqrt(variance)
-
-    @property
-    def spread(self) -> tuple[float, float]:
-        """The RMS over the headings that were seen, and the largest RMS by chance."""
-        waves = self.columns[:, 1:5] - self.columns[:, 1:5].mean(axis=0)
-        variance = np.einsum("ni,ij,nj->n", waves, self.covariance[1:5, 1:5], waves)
-        size = math.sqrt(float(np.mean((waves @ self.values[1:5]) ** 2)))
-        return size, self.chance * math.sqrt(max(float(variance.mean()), 0.0))
-
-    @property
-    def chance_of_mean(self) -> float:
-        """The largest mean by chance over the headings that were seen."""
-        mean = self.columns.mean(axis=0)
-        return self.chance * math.sqrt(max(float(mean @ self.covariance @ mean), 0.0))
-
-    def scatter(self, values: FloatArray, stamp: FloatArray) -> float:
-        """Return the RMS of the residuals of values (n,), with an allowance for chance."""
-        left = float(np.mean((values - self.columns @ self.values) ** 2))
-        stretches = max(float(np.ptp(stamp)) / CHANGE.correlation_time, 1.0)
-        return math.sqrt(left * (1.0 + CHANGE.chance * math.sqrt(2.0 / stretches)))
 
 
 def harmonics(heading: FloatArray) -> FloatArray:

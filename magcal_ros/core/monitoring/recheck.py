@@ -1,4 +1,9 @@
-"""Whether a calibration still holds: the corrected field of a new turn or drive is checked."""
+"""Whether a calibration still holds, by a new turn or drive.
+
+The smoother is fitted to the field that the calibration has corrected. If nothing has changed, the
+result is the identity. Otherwise it shows by how much the calibration turns the headings, whatever
+the cause, and its covariance shows how certain this is.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
+from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE, TUNING, Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
@@ -15,11 +20,11 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     CHECKED_TILT,
     calibration_sigma,
-    known_sigma,
+    heading_swing,
 )
-from magcal_ros.core.doctor.latency import drove_while_turning
-from magcal_ros.core.geometry.arrays import FloatArray, integral
-from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field, yaw_rate
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
@@ -27,20 +32,17 @@ from magcal_ros.core.knowledge import (
     Knowledge,
     ReferenceField,
 )
+from magcal_ros.core.methods import smoother
 from magcal_ros.core.monitoring.change import (
     CHANGE,
     GYRO_BOUND,
     check_beside_chance,
-    compass_minus_gyro,
-    doubtful,
-    fit_harmonics,
-    harmonics,
-    records_of,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import SensorLog, Window
-from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed
+from magcal_ros.core.smoother.unknowns import DRIVES, MICROTESLA
 from magcal_ros.core.up.follower import propagated_up
 
 STATES = {
@@ -62,26 +64,25 @@ LOST_GYRO = (
     "whether the compass turns as the robot does: the field samples are more than "
     f"{STREAMS.longest_field_gap:g} s apart, too far to follow the gyro between them"
 )
-NO_YAW = "an error of the yaw that is the same at every heading"
-MOVED = "the hard iron has changed, or the field is distorted here"
-OTHER_ROBOT = (
-    f"{GYRO_BOUND.remedy}; check that the calibration was made for this robot and this sensor"
+ON_A_DRIVE = (
+    "whether iron nearby turns the compass: the samples look like a drive, along which the field "
+    "differs from place to place"
 )
+NO_YAW = "an error of the yaw that is the same at every heading"
+CHANGED = "the hard iron, the soft iron or the sensor's mounting has changed"
+OTHER_ROBOT = "check that the calibration was made for this robot and this sensor"
+DISTORTED = "iron nearby or the motors change the field; turn once, in one place away from iron"
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
     Bound(
-        Figure.HEADING_SWING, (None, 4.0, 7.0), "the level field makes the heading swing by", MOVED
+        Figure.HEADING_SWING,
+        (None, 4.0, 7.0),
+        "the calibration makes the heading swing by",
+        CHANGED,
+        when_refused=f"{CHANGED}; {OTHER_ROBOT}",
     ),
-    replace(GYRO_BOUND, when_refused=OTHER_ROBOT),
-    Bound(
-        Figure.STRENGTH_SPREAD,
-        (None, 3.0, 6.0),
-        "field strength varies with heading by",
-        MOVED,
-        unit="%",
-    ),
-    Bound(Figure.DIP_SPREAD, (None, 2.0, 4.0), "inclination varies with heading by", MOVED),
+    replace(GYRO_BOUND, remedy=DISTORTED),
     Bound(
         Figure.STRENGTH_OFFSET,
         (None, 5.0, 15.0),
@@ -105,13 +106,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
     ),
 )
 """There is no grade above good: a recheck can only confirm a calibration."""
-IRON_BOUND = Bound(
-    Figure.HARD_IRON_CHANGE,
-    (None, 6.0, 12.0),
-    "iron added since, over level field",
-    "the robot's own field has changed",
-    unit="%",
-)
+SWING_BOUND, GYRO, STRENGTH_BOUND, DIP_BOUND, ARC_BOUND = RECHECK_BOUNDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,45 +135,118 @@ class Recheck:
 
 
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
-    """Test a calibration by a new turn; `drive` separates added iron from local disturbances."""
+    """Test a calibration by a new turn or drive.
+
+    `drive` is the log of the same recording; it is used if the speed of wheels was measured.
+    Raises `Refusal` if the samples do not determine what has changed.
+    """
+    samples = window if drive is None or not drive.rolls else drive
+    is_lost = window.angular_rate is not None and bool(
+        np.median(np.diff(samples.time)) > STREAMS.longest_field_gap
+    )
+    samples = replace(samples, angular_rate=None) if is_lost else samples
+    unseen, swing = [NO_YAW], None
+    if samples.angular_rate is None:
+        unseen.append(LOST_GYRO if is_lost else NO_GYRO)
+    try:
+        found, estimate = _fit_of_corrected(samples, calibration)
+    except Refusal as refusal:
+        if refusal.reason is not Reason.AXES_DISAGREE:
+            raise
+        words = f"no change of the calibration explains the samples: {refusal}; {OTHER_ROBOT}"
+        checks = [Check(refusal.reason, Aspect.QUALITY, Grade.REFUSED, words)]
+    else:
+        checks, swing = _checks(found, estimate, calibration)
+        unseen += [ON_A_DRIVE] if found.mode in DRIVES else []
     up = propagated_up(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
-    corrected = _records(window, up, heading, calibration.correction)
-    raw = _records(window, up, heading, Correction.identity())
-    before, _ = _figures(raw, corrected[:, 1], calibration)
-    found, swing = _figures(corrected, corrected[:, 1], calibration)
     arc = Coverage.of(heading).arc
-    found[Figure.ARC] = arc, 0.0
-    iron = _iron_of(drive, calibration) if drive is not None and len(drive) else None
-    drove = iron is not None and drove_while_turning(SensorLog.of_window(window))
-    chance = CHANGE.clearly if drove else CHANGE.chance
-    added = None if iron is None else _check_iron(*iron, chance)
-    # On a street that is driven once, a local disturbance looks like iron in the robot.
-    is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
-    is_round = Coverage.of(corrected[:, 1]).gap <= CHANGE.widest_hole
-    checks = []
-    for bound in RECHECK_BOUNDS:
-        if bound.figure in found:
-            figure, places = found[bound.figure]
-            raw_figure, _ = before.get(bound.figure, (None, 0.0))
-            most = CHANGE.own_share * bound.warn / bound.scale
-            chance = math.hypot(min(_own(bound.figure, calibration), most), places)
-            # In a part of a turn, the test of iron does not exclude an error of up.
-            is_decided = added is not None and (is_round or bound.figure is not GYRO_BOUND.figure)
-            graded = check_beside_chance(bound, figure, chance, raw_figure, is_decided)
-            is_stale = graded.grade is Grade.REFUSED
-            checks.append(doubtful(graded) if is_stale and is_street else graded)
-    checks += [] if added is None else [added]
-    gaps = np.diff(window.time)
-    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
-    no_swing = LOST_GYRO if is_lost else NO_GYRO
-    not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
     slopes = _slopes_of(calibration)
-    verdict = Verdict(tuple(checks), not_shown + ((slopes,) if slopes else ()))
-    estimate = _on_fresh_samples(calibration, window, up, arc, swing)
+    unseen += [slopes] if slopes else []
+    verdict = Verdict((*checks, ARC_BOUND.check(arc)), tuple(unseen))
+    on_samples = _on_fresh_samples(calibration, window, up, arc, swing)
     state = STATES[verdict.quality]
     sentence = SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
-    return Recheck(replace(verdict, says=_summary(verdict, sentence)), estimate, sentence)
+    return Recheck(replace(verdict, says=_summary(verdict, sentence)), on_samples, sentence)
+
+
+def _fit_of_corrected(samples: Window, calibration: Calibration) -> tuple[Smoothed, Estimate]:
+    """Return the fit of the corrected field."""
+    correction = calibration.correction
+    corrected = replace(
+        samples,
+        field=correction.apply(samples.field),
+        rests=tuple(replace(r, field=correction.apply(r.field)) for r in samples.rests),
+    )
+    reference = ReferenceField(
+        Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
+        Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
+    )
+    known = Knowledge(reference)
+    found = smoother.smoothed(corrected, known)
+    estimate = smoother.estimate_of(found, corrected, known)
+    smoother.check(found, estimate, corrected, known)
+    return found, estimate
+
+
+def _checks(
+    found: Smoothed, estimate: Estimate, calibration: Calibration
+) -> tuple[list[Check], GyroSwing | None]:
+    """Return the checks by a fit of the corrected field, and the swing of compass minus gyro."""
+    old = calibration.correction
+    new, field = estimate.correction.after(old), (calibration.strength, calibration.inclination)
+    raw, nodes = Correction.identity(), found.nodes
+    corrected, is_fixed = nodes.field / MICROTESLA, found.mode not in DRIVES
+    chance = CHANGE.chance * calibration_sigma(estimate)
+    if is_fixed:
+        chance = math.hypot(chance, _distortion(estimate, corrected))
+    by_fit = heading_swing(new, old, *field)
+    checks = [check_beside_chance(SWING_BOUND, by_fit, chance, heading_swing(new, raw, *field))]
+    swing = None
+    if estimate.swing is not None:
+        swing, by_raw = (smoother.swing_of(found, f) for f in (corrected, old.undo(corrected)))
+        left = math.sqrt(max(swing.rms**2 - by_fit**2, 0.0)) if is_fixed else 0.0
+        checks.append(_check_gyro(swing.rms, left, by_raw.rms))
+    up = found.fit.state.attitude[:, :, 2]
+    stretches = max(float(np.ptp(nodes.time)) / CHANGE.correlation_time, 1.0)
+    local = found.fit.local_field / MICROTESLA / calibration.strength / math.sqrt(stretches)
+    after, before = (_offsets(each, up, calibration) for each in (corrected, old.undo(corrected)))
+    for bound, value, by_old in zip((STRENGTH_BOUND, DIP_BOUND), after, before, strict=True):
+        checks.append(check_beside_chance(bound, value, CHANGE.chance * local, by_old))
+    return checks, swing
+
+
+def _distortion(estimate: Estimate, field: FloatArray) -> float:
+    """Return the heading error in a distorted place that no calibration explains, radians.
+
+    In one place, the strength of a field (n, 3) with the right calibration is constant. It varies
+    as much as each component of the local disturbance does.
+    """
+    size = np.linalg.norm(estimate.correction.apply(field), axis=1)
+    return float(np.std(size)) / (estimate.strength * math.cos(estimate.inclination))
+
+
+def _check_gyro(swing: float, left: float, raw: float) -> Check:
+    """Grade the part `left` of the swing of the compass against the gyro, radians.
+
+    It is not due to the calibration, and it makes the place unsuitable for a check. `raw` is the
+    swing of the raw field.
+    """
+    note = f", of which {shown(left * GYRO.scale)}° are not due to the calibration"
+    graded = GYRO.check(swing, excess=left, note=note, before=raw)
+    if graded.grade.rank < Grade.WARN.rank:
+        return GYRO.check(swing, excess=left, before=raw)
+    return replace(graded, grade=Grade.WARN, is_judged=False)
+
+
+def _offsets(field: FloatArray, up: FloatArray, calibration: Calibration) -> tuple[float, float]:
+    """Return relative strength and dip (rad) of fields (n, 3) minus the calibrated ones."""
+    size, rise = np.linalg.norm(field, axis=1), np.sum(field * up, axis=1)
+    dip = -np.arcsin(np.clip(rise / np.maximum(size, 1e-12), -1.0, 1.0))
+    return (
+        abs(float(size.mean()) / calibration.strength - 1.0),
+        abs(float(dip.mean()) - calibration.inclination),
+    )
 
 
 def _slopes_of(calibration: Calibration) -> str:
@@ -195,72 +263,6 @@ def _slopes_of(calibration: Calibration) -> str:
         f"along the vertical axis is uncertain, and the heading error is {error}; give the "
         "position when you calibrate again, or turn on ramps"
     )
-
-
-def _own(figure: Figure, calibration: Calibration) -> float:
-    """Return the swing of a figure by hard iron of the calibration's sigma."""
-    level, upright = math.cos(calibration.inclination), math.sin(calibration.inclination)
-    shares = {
-        Figure.HEADING_SWING: 1.0,
-        Figure.GYRO_COMPASS_DIFFERENCE: 1.0,
-        Figure.STRENGTH_SPREAD: level**2,
-        Figure.DIP_SPREAD: abs(level * upright),
-    }
-    return shares.get(figure, 0.0) * known_sigma(calibration)
-
-
-def _records(
-    window: Window, up: FloatArray, heading: FloatArray, correction: Correction
-) -> FloatArray:
-    """Return one record (n, 7) of each visit to a sector of heading, with columns of `Record`."""
-    field = correction.apply(window.field)
-    is_good = up[:, 0] ** 2 < CHANGE.steepest_nose
-    turned = rate = np.full(len(window), math.nan)
-    if window.angular_rate is not None:
-        rate = yaw_rate(window.angular_rate, up)
-        turned = np.where(is_good, integral(window.time, rate), math.nan)
-    is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
-    path = np.append(0, np.cumsum(is_parted))
-    strength, rise = np.linalg.norm(field, axis=1), np.sum(field * up, axis=1)
-    yaw = yaw_from_up_and_field(up, field)
-    samples = [window.time, yaw, strength, rise, turned, path, rate]
-    return records_of(np.column_stack(samples), heading)
-
-
-def _figures(
-    records: FloatArray, heading: FloatArray, calibration: Calibration
-) -> tuple[dict[Figure, tuple[float, float]], GyroSwing | None]:
-    """Return figures of records, each with its largest size by chance, and compass minus gyro."""
-    stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
-    level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
-    dip = np.arctan2(-rise, level)
-    swings = {
-        Figure.HEADING_SWING: level / max(float(level.mean()), 1e-12),
-        Figure.STRENGTH_SPREAD: size / calibration.strength,
-        Figure.DIP_SPREAD: dip,
-    }
-    columns = harmonics(heading)
-    waves = {k: fit_harmonics(columns, v, stamp, CHANGE.chance) for k, v in swings.items()}
-    found = {figure: each.spread for figure, each in waves.items()}
-    for figure, of, off in (
-        (Figure.STRENGTH_OFFSET, Figure.STRENGTH_SPREAD, size / calibration.strength - 1.0),
-        (Figure.DIP_OFFSET, Figure.DIP_SPREAD, dip - calibration.inclination),
-    ):
-        found[figure] = abs(float(off.mean())), waves[of].chance_of_mean
-    gyro = compass_minus_gyro(records, heading, CHANGE.chance)
-    if gyro is None:
-        return found, None
-    rms = gyro.rms
-    # A deviation that does not depend on the heading is not due to the calibration.
-    if gyro.waves is None:
-        # The error of up across the field is assumed to be that along the field.
-        tilt = waves[Figure.DIP_SPREAD].scatter(dip, stamp)
-        swing, chance = rms, abs(math.tan(calibration.inclination)) * tilt
-    else:
-        swing, chance = gyro.waves.spread
-    elsewhere = math.sqrt(max(rms**2 - swing**2, 0.0))
-    found[Figure.GYRO_COMPASS_DIFFERENCE] = rms, math.hypot(chance, elsewhere)
-    return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
 
 
 def _summary(verdict: Verdict, sentence: str) -> str:
@@ -304,33 +306,3 @@ def expected_field(
     """Return the field (n, 3) of given strength and inclination at the heading of `field`."""
     level = unit(level_part(field, up))
     return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
-
-
-def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
-    """Return added iron over the level field, its sigma, and this field, T; None if unknown."""
-    reference = ReferenceField(
-        Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
-        Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
-    )
-    known = Knowledge(reference)
-    correction = calibration.correction
-    found = fit_iron(drive_nodes(drive, known.mounting.to_body), correction, known)
-    if found is None:
-        return None
-    # Only the part across body z: iron along z matters on slopes only.
-    matrix = correction.matrix[:2]
-    added = matrix @ (found.posterior.correction.hard_iron - correction.hard_iron)
-    covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
-    level = calibration.strength * math.cos(calibration.inclination)
-    sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    return math.hypot(*added) / level, sigma, level
-
-
-def _check_iron(share: float, sigma: float, level: float, chance: float) -> Check | None:
-    """Grade added iron, with `chance` sigmas explained by chance; None if too uncertain."""
-    beyond = share - CHANGE.clearly * sigma
-    if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
-        return None
-    size = f"iron added since ({1e6 * share * level:.1f} µT)"
-    bound = replace(IRON_BOUND, words=IRON_BOUND.words.replace("iron added since", size))
-    return check_beside_chance(bound, share, chance * sigma, decided=True)

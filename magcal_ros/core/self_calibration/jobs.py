@@ -8,16 +8,13 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
-    heading_differences,
+    heading_swing,
     known_sigma,
 )
-from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 
@@ -126,12 +123,8 @@ def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
 
 
 def difference(old: Calibration, new: Calibration) -> float:
-    """Return the RMS difference of two calibrations over headings, radians.
-
-    The constant part is subtracted, because a drive cannot show it.
-    """
-    apart = heading_differences(new.correction, old.correction, new.strength, new.inclination)
-    return math.sqrt(float(np.mean(wrap_angle(apart - mean_angle(apart)) ** 2)))
+    """Return the RMS difference of two calibrations over headings, radians, but for a constant."""
+    return heading_swing(new.correction, old.correction, new.strength, new.inclination)
 
 
 class DecisionKind(str, Enum):

@@ -6,9 +6,17 @@ import pytest
 from drives import ROBOT
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core import Grade, Knowledge, calibrate, check
+from magcal_ros.core import Grade, Knowledge, Reason, Refusal, calibrate, check
 from magcal_ros.core.assessment import LEVEL_ONLY
-from magcal_ros.core.monitoring import NO_GYRO, RECHECK_BOUNDS, STATES, expected_field
+from magcal_ros.core.calibration import heading_swing
+from magcal_ros.core.monitoring import (
+    NO_GYRO,
+    ON_A_DRIVE,
+    RECHECK_BOUNDS,
+    STATES,
+    expected_field,
+    recheck,
+)
 from magcal_ros.core.simulation import Robot
 
 
@@ -66,10 +74,11 @@ def test_a_hard_iron_change_of_5_ut_makes_it_stale(calibration, gyro, shift):
     assert result.state == "stale"
     found = figures(result)
     # 5 µT across a level field of 25 µT swing the heading by 11.5° at most, 8.1° rms.
-    assert found["heading_swing"].value == pytest.approx(8.1, abs=0.8)
+    assert found["heading_swing"].value == pytest.approx(8.1, abs=0.5)
     assert "calibrate again" in result.verdict.summary
     if gyro:
-        assert found["gyro_compass_difference"].value == pytest.approx(8.1, abs=1.0)
+        # A swing once per turn is partly taken for a scale error of the gyro.
+        assert 4.0 < found["gyro_compass_difference"].value < 9.1
 
 
 @pytest.mark.parametrize("gyro", [True, False])
@@ -86,8 +95,48 @@ def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
     assert "doubtful" in result.verdict.summary
 
 
-def test_a_distorted_room_is_found_by_the_gyro_alone(calibration):
-    """The field still forms a circle, but its direction depends on the heading."""
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"x": 3.0, "y": 2.0},
+        {"pitch": ROBOT.pitch + math.radians(3.0)},
+        {"x": -4.0, "roll": ROBOT.roll - math.radians(4.0)},
+    ],
+    ids=["hard iron", "mounting", "both"],
+)
+def test_the_swing_is_the_heading_error_of_the_old_calibration(calibration, change, gyro):
+    robot = moved(**change)
+    truth = robot.true_correction
+    expected = heading_swing(truth, calibration.correction, robot.strength, robot.inclination)
+    swing = figures(check(window(robot, seed=12, gyro=gyro), calibration))["heading_swing"]
+    assert swing.value == pytest.approx(math.degrees(expected), abs=0.7)
+
+
+@pytest.mark.parametrize("signs", [(1.0, -1.0, -1.0), (-1.0, -1.0, -1.0)])
+def test_samples_of_another_sensor_are_stale(calibration, signs):
+    """Its axes are turned or reversed: no small change of the calibration explains them."""
+    clean = window(seed=13)
+    result = check(dataclasses.replace(clean, field=clean.field * signs), calibration)
+    assert result.state == "stale"
+    assert "made for this robot and this sensor" in result.verdict.summary
+
+
+def test_a_fit_that_refuses_the_axes_is_stale_with_its_reason(calibration, monkeypatch):
+    """The field turns against the gyro, whatever the calibration."""
+
+    def refuses(*_):
+        raise Refusal(Reason.AXES_DISAGREE, "the field does not turn as the gyro does")
+
+    monkeypatch.setattr(recheck.smoother, "check", refuses)
+    result = check(window(seed=2), calibration)
+    assert result.state == "stale"
+    assert "no change of the calibration explains the samples" in result.verdict.summary
+    assert "made for this robot" in result.verdict.summary
+
+
+def test_a_distorted_room_is_no_fault_of_the_calibration(calibration):
+    """The field still forms a circle, but its direction depends on the heading, as on a drive."""
     clean = window(seed=6)
     bent = clean.time * 0.0 + np.radians(15.0) * np.sin(np.linspace(0, math.tau, len(clean)))
     cosine, sine = np.cos(bent), np.sin(bent)
@@ -96,9 +145,10 @@ def test_a_distorted_room_is_found_by_the_gyro_alone(calibration):
     raw = calibration.correction.undo(np.column_stack([x, y, body[:, 2]]))
     result = check(dataclasses.replace(clean, field=raw), calibration)
     found = figures(result)
-    assert STATES[found["heading_swing"].grade] == "holds"
-    assert found["gyro_compass_difference"].value == pytest.approx(15.0 / math.sqrt(2.0), rel=0.15)
-    assert result.state == "stale"
+    # Of 10.6° RMS, a part is taken for a scale error of the gyro.
+    assert 7.0 < found["gyro_compass_difference"].value < 11.0
+    assert result.state == "holds"
+    assert ON_A_DRIVE in result.verdict.not_shown
 
 
 def test_a_steady_gyro_bias_is_no_fault(calibration):
@@ -165,8 +215,6 @@ def test_the_keys_of_figures_are_unchanged(calibration):
     assert reported == {
         "heading_swing",
         "gyro_compass_rms",
-        "strength_spread",
-        "dip_spread",
         "strength_offset",
         "dip_offset",
     }
@@ -196,7 +244,8 @@ def test_the_drawn_gyro_deviation_is_the_judged_one(calibration):
     drawn = result.estimate.swing
     assert len(drawn.heading) == len(drawn.deviation)
     rms = math.degrees(float(np.sqrt(np.mean(drawn.deviation**2))))
-    assert rms == pytest.approx(figures(result)["gyro_compass_difference"].value)
+    # The figure is without the noise of single samples.
+    assert rms == pytest.approx(figures(result)["gyro_compass_difference"].value, rel=0.01)
 
 
 def test_the_expected_field_has_the_strength_the_dip_and_the_heading_of_the_measured():

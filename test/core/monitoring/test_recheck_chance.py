@@ -7,6 +7,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core import Figure, Grade, Window, calibrate, check
 from magcal_ros.core.monitoring import (
+    ONCE,
     RECHECK_BOUNDS,
     Record,
     check_beside_chance,
@@ -14,7 +15,6 @@ from magcal_ros.core.monitoring import (
     fit_harmonics,
     harmonics,
 )
-from magcal_ros.core.monitoring.recheck import _figures
 from magcal_ros.core.simulation import Robot
 
 BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)
@@ -54,7 +54,7 @@ def test_the_allowance_for_chance_covers_few_independent_parts(turns):
     misses = 0
     for _ in range(200):
         values = 0.05 * (rng.normal(0.0, 1.0, (turns, 4)) @ waves).ravel()
-        size, chance = fit_harmonics(harmonics(heading), values, stamp, 2.0).spread
+        size, chance = fit_harmonics(harmonics(heading), values, stamp, 2.0).amplitude(ONCE)
         misses += bool(size > chance)
     assert misses <= 0.12 * 200
 
@@ -62,12 +62,13 @@ def test_the_allowance_for_chance_covers_few_independent_parts(turns):
 def test_a_turn_in_one_place_has_the_uncertainty_of_its_noise():
     heading, rng = np.linspace(0.0, math.tau, 36), np.random.default_rng(3)
     values = 0.1 * np.cos(heading) + 0.002 * rng.standard_normal(36)
-    size, chance = fit_harmonics(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
-    assert size == pytest.approx(0.1 / math.sqrt(2.0), rel=0.05)
+    stamp = np.linspace(0.0, 14.0, 36)
+    size, chance = fit_harmonics(harmonics(heading), values, stamp, 2.0).amplitude(ONCE)
+    assert size == pytest.approx(0.1, rel=0.05)
     assert chance < 0.003
 
 
-def test_the_hard_iron_by_a_drive_replaces_the_uncertain_check():
+def test_what_other_data_decide_is_not_uncertain():
     hidden = check_beside_chance(BOUND, degrees(8.0), degrees(9.0), None, decided=True)
     assert hidden.grade is Grade.GOOD
     clear = check_beside_chance(BOUND, degrees(12.0), degrees(1.0), None, decided=True)
@@ -100,25 +101,6 @@ def test_a_disturbance_at_one_place_is_not_attributed_to_the_calibration(places,
     turned = np.unwrap(heading)
     rows = [Record(3.0 * k, yaw[k], 1.0, 0.0, turned[k], 0, 0.0) for k in range(240)]
     gyro = compass_minus_gyro(np.array(rows), heading, 2.0)
-    swing, chance = gyro.waves.spread
+    swing, chance = gyro.waves.amplitude(ONCE)
     assert gyro.rms > 0.05
     assert (math.sqrt(max(swing**2 - chance**2, 0.0)) < 0.03) is explained
-
-
-@pytest.mark.parametrize(("lean", "is_explained"), [(0.0, False), (1.0, True)])
-def test_in_a_part_of_a_turn_sway_of_up_explains_that_of_the_compass(lean, is_explained):
-    """Up that is off along the field shows in the dip, and is off as much across it."""
-    calibration = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
-    calibration = calibration.calibration
-    stamp, turned = 0.3 * np.arange(200), np.linspace(0.0, 1.5, 200)
-    aside = 0.2 * np.sin(2.0 * stamp)
-    along = lean * 0.2 / math.tan(calibration.inclination) * np.sin(2.9 * stamp)
-    size = np.full(200, calibration.strength)
-    rise = -size * np.sin(calibration.inclination + along)
-    nothing = np.zeros(200)
-    records = np.column_stack([stamp, turned + aside, size, rise, turned, nothing, nothing])
-    found, _ = _figures(records, turned, calibration)
-    swing, chance = found[Figure.GYRO_COMPASS_DIFFERENCE]
-    assert swing == pytest.approx(0.2 / math.sqrt(2.0), rel=0.1)
-    assert (chance > swing) is is_explained
-    assert is_explained or chance < 0.05 * swing
