@@ -1,4 +1,4 @@
-"""The test of change: whether the corrected field depends on the heading.
+"""Whether the corrected field of a drive depends on the heading, and the grade of a figure.
 
 A well corrected field has the same strength, rise and dip at every heading, and its yaw turns like
 the gyro. Deviations are fitted robustly by harmonics of the heading. Errors within half a minute
@@ -212,7 +212,7 @@ def check_beside_chance(
     """Grade the part of a figure that chance does not explain.
 
     If chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
-    figure is small, or the drive has shown whether iron was added (`decided`).
+    figure is small, or further drives will decide (`decided`).
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
