@@ -78,8 +78,7 @@ class Figure(str, Enum):
     """RMS of compass minus gyro by sectors of a turn, without offset, bias, scale and the noise of
     single samples; radians."""
     GYRO_COMPASS_DIFFERENCE = "gyro_compass_difference"
-    """RMS of compass minus gyro over all samples of a recheck with noise, without one offset per
-    part and one constant bias; radians."""
+    """RMS of compass minus gyro in a recheck, without the part by the calibration, radians."""
     GYRO_COMPASS_HARMONIC = "gyro_compass_harmonic"
     """RMS of the first harmonic of compass minus gyro over the headings of a drive, radians; zero
     if not significant. With few headings it is the median size of the difference, if that is

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
+from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE, TUNING, Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
@@ -82,7 +82,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
         CHANGED,
         when_refused=f"{CHANGED}; {OTHER_ROBOT}",
     ),
-    replace(GYRO_BOUND, remedy=DISTORTED),
+    replace(GYRO_BOUND, words="gyro against compass, apart from this swing", remedy=DISTORTED),
     Bound(
         Figure.STRENGTH_OFFSET,
         (None, 5.0, 15.0),
@@ -205,8 +205,8 @@ def _checks(
     swing = None
     if estimate.swing is not None:
         swing, by_raw = (smoother.swing_of(found, f) for f in (corrected, old.undo(corrected)))
-        left = math.sqrt(max(swing.rms**2 - by_fit**2, 0.0)) if is_fixed else 0.0
-        checks.append(_check_gyro(swing.rms, left, by_raw.rms))
+        left = math.sqrt(max(swing.rms**2 - by_fit**2, 0.0))
+        checks.append(_check_gyro(left, by_raw.rms, is_fixed))
     up = found.fit.state.attitude[:, :, 2]
     stretches = max(float(np.ptp(nodes.time)) / CHANGE.correlation_time, 1.0)
     local = found.fit.local_field / MICROTESLA / calibration.strength / math.sqrt(stretches)
@@ -226,16 +226,15 @@ def _distortion(estimate: Estimate, field: FloatArray) -> float:
     return float(np.std(size)) / (estimate.strength * math.cos(estimate.inclination))
 
 
-def _check_gyro(swing: float, left: float, raw: float) -> Check:
-    """Grade the part `left` of the swing of the compass against the gyro, radians.
+def _check_gyro(left: float, raw: float, is_fixed: bool) -> Check:
+    """Grade the swing of the compass against the gyro that is not due to the calibration, radians.
 
-    It is not due to the calibration, and it makes the place unsuitable for a check. `raw` is the
-    swing of the raw field.
+    It makes a place unsuitable for a check. On a drive, places differ, and it is not graded. `raw`
+    is the whole swing of the raw field.
     """
-    note = f", of which {shown(left * GYRO.scale)}° are not due to the calibration"
-    graded = GYRO.check(swing, excess=left, note=note, before=raw)
+    graded = GYRO.check(left, excess=left if is_fixed else 0.0, before=raw)
     if graded.grade.rank < Grade.WARN.rank:
-        return GYRO.check(swing, excess=left, before=raw)
+        return graded
     return replace(graded, grade=Grade.WARN, is_judged=False)
 
 
