@@ -31,9 +31,15 @@ class AlignmentPriors:
 
 
 WIDE = AlignmentPriors()
-FIELD_PRIORS = replace(WIDE, field_floor=1e-3, freedom=10.0)
-FORCE_PRIORS = replace(FIELD_PRIORS, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
-"""Priors of the fits to single samples; the accelerometer's offset is relative to the changing part
+FORCE_PRIORS = replace(
+    WIDE,
+    field_floor=1e-3,
+    freedom=10.0,
+    installation=math.radians(3.0),
+    soft_iron=0.02,
+    hard_iron=0.3,
+)
+"""Priors of the fit to single samples; the accelerometer's offset is relative to the changing part
 of gravity."""
 
 
@@ -80,28 +86,23 @@ AXES = AxesTuning()
 
 
 @dataclass(frozen=True)
-class SingleSampleTuning:
-    """Settings of the fits to single samples, for latency, the motors' field, and acceleration."""
+class LatencyTuning:
+    """Settings of the fits for latency, the motors' field, and drives."""
 
-    most: int = 1500  # samples; more are averaged
+    most: int = 1500  # samples of the accelerometer; more are averaged
     lever: float = 0.3
     """Standard deviation of the accelerometer's lever arm from the turn's axis, metres."""
     walk_steps: int = 40  # of the gyro's random walk
     walk: float = math.radians(0.01)  # radians in a second, random walk of a noise-free gyro
     steady: float = 1.5  # seconds over which the noise is averaged
     least: float = 1e-3  # seconds, standard deviation of the stamps' systematic errors
-    motors: float = 20e-6  # tesla, standard deviation of the motors' field in a turn
     turns: float = math.radians(5.0)  # rad/s from which the robot turns
-    starts: float = 0.2  # seconds over which rates are averaged, for the start and end of turns
-    in_time: float = 5e-3  # seconds, standard deviation of a known latency
-    velocity: float = 5.0  # m/s, standard deviation of a vehicle's velocity in a turn
-    circle: float = 5.0  # metres, standard deviation of the radius of a circle that is driven
-    looks: int = 8  # largest number of fits, each about the latency of the one before
-    drove: float = 5.0
-    """Log of the prior odds of a turn on the spot against a drive."""
+    late: float = 0.1
+    """Seconds of latency from which the field is also fitted with this latency subtracted."""
+    radius: float = 1.5  # metres, radius of a circle from which the robot drives
 
 
-FINE = SingleSampleTuning()
+FINE = LatencyTuning()
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class ErrorTuning:
     at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias measured at rest
     confirmed: float = 0.4  # largest difference from the rate at rest, relative to the bias
     lag: float = 0.015  # seconds between the sensors' stamps
-    vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.02, 0.008)
     """Largest sigma of bias (rad/s), scale, and lag of field and of force (s) that is reported."""
     largest_noise: float = 0.25
     """Usual difference of successive samples, relative to the changing part, of mere noise."""
@@ -121,7 +122,6 @@ class ErrorTuning:
     vague_strength: float = 0.1  # largest relative standard deviation of a strength that is used
     inclination: float = math.radians(8.0)  # radians of inclination from the reference
     motors: float = 1.5e-6  # tesla, smallest field of the motors
-    clear: float = 5.0  # sigmas of the motors' field
     turned_too_far: float = math.radians(25.0)
     """Heading error by the motors' field from which the sensor should be moved. This field is half
     the level field: a change of the motors' current by a tenth turns the heading by 3°."""

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
-from magcal_ros.core.doctor.alignment import FIELD, IRON, LAG, UP
+from magcal_ros.core.doctor.alignment import FIELD, IRON, UP
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
-from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
     MOVE_THE_SENSOR,
@@ -22,10 +21,10 @@ from magcal_ros.core.doctor.motion import (
 )
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
+from magcal_ros.core.doctor.turn_fit import TurnFit
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.units import unit_by_strength
-from magcal_ros.core.samples.window import SensorLog
 
 UNIT_FIRST = "correct the field's unit first, then check again"
 MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
@@ -70,7 +69,11 @@ def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belie
 
 
 def with_field(
-    lines: list[Finding], prepared: CleanLog, found: MotionResult, knowledge: Knowledge
+    lines: list[Finding],
+    prepared: CleanLog,
+    found: MotionResult,
+    knowledge: Knowledge,
+    turn: TurnFit | None,
 ) -> list[Finding]:
     """Return the lines with findings on the field, if a hypothesis explains the movement."""
     if found.hypothesis is None or found.body is None:
@@ -85,7 +88,7 @@ def with_field(
     if prepared.restamped or not np.isfinite(found.body.rate).all():
         return lines
     shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in lines)
-    motors = motors_finding(found.body, found.hypothesis, shown)
+    motors = motors_finding(turn, found.hypothesis, shown)
     if motors.is_wrong:
         # Another turn with the motors on would not determine these quantities either.
         texts = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
@@ -179,19 +182,16 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
     return ok_or_warning("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
 
 
-def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
+def motors_finding(turn: TurnFit | None, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
     """Check for a field that exists only while the robot turns; a late field looks the same."""
     state = hypothesis.state
-    found = motors_field(log, hypothesis, float(state[LAG]) if lag_is_shown else 0.0)
-    if found is None:
+    if turn is None or turn.motors is None:
         return undetermined("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, hypothesis.gyro):
+    if turn.drove:
         return undetermined("motors", MOTORS, ON_THE_SPOT)
-    field, covariance = found
-    off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    field, off = turn.motors, turn.motors_sigma
     strength = float(np.linalg.norm(field))
-    is_seen = float(field @ np.linalg.solve(covariance, field)) > ERRORS.clear**2
-    is_seen &= strength > ERRORS.motors
+    is_seen = strength > max(ERRORS.motors, CLEAR * off)
     if off > ERRORS.motors and not is_seen:
         return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
     level = hypothesis.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))

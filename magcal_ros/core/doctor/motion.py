@@ -30,9 +30,10 @@ from magcal_ros.core.doctor.health import (
     undetermined,
     vector_in_words,
 )
-from magcal_ros.core.doctor.latency import field_latency, force_latency
+from magcal_ros.core.doctor.latency import force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.segment import segment_of_log
+from magcal_ros.core.doctor.turn_fit import TurnFit
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
@@ -130,13 +131,16 @@ def compare(
     return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
 
 
-def latency_findings(prepared: CleanLog, found: MotionResult) -> list[Finding]:
+def latency_findings(
+    prepared: CleanLog, found: MotionResult, turn: TurnFit | None
+) -> list[Finding]:
     """Return the findings on the latencies; none unless a hypothesis explains the movement."""
     if found.hypothesis is None or found.body is None:
         return []
     if prepared.restamped:
         return [undetermined("latency", "field: latency", NO_BURSTS)]
-    return _latencies(found.body, found.hypothesis)
+    late = Belief.unknown() if turn is None else turn.latency
+    return _latencies(found.body, found.hypothesis, late)
 
 
 def _explained(
@@ -242,9 +246,9 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
     return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
-def _latencies(log: SensorLog, hypothesis: AxesHypothesis) -> list[Finding]:
+def _latencies(log: SensorLog, hypothesis: AxesHypothesis, late: Belief) -> list[Finding]:
     """Return the findings on both latencies; if they are equal, the gyro's stamps are early."""
-    field, field_lag = _shown(field_latency(log, hypothesis), ERRORS.vague[2])
+    field, field_lag = _shown(late, ERRORS.vague[2])
     force, force_lag = _shown(force_latency(log, hypothesis), ERRORS.vague[3])
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
         of_field = of_force = (

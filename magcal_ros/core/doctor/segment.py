@@ -46,7 +46,7 @@ def segment_of_log(
     has `fewest` to `most` averages.
     """
     field_time = log.field_time - lag
-    span = _liveliest(log, field_time)
+    span = liveliest(log, field_time)
     if span is None:
         return None
     imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
@@ -83,7 +83,7 @@ def segment_of_log(
     )
 
 
-def _liveliest(log: SensorLog, field_time: FloatArray) -> tuple[float, float] | None:
+def liveliest(log: SensorLog, field_time: FloatArray) -> tuple[float, float] | None:
     """Return begin and end of the time in which the robot turns most, without gaps of the gyro."""
     if min(len(log.imu_time), len(field_time)) < 20:
         return None

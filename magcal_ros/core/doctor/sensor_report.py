@@ -31,6 +31,7 @@ from magcal_ros.core.doctor.motion import MotionResult, compare, latency_finding
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.doctor.segment import segment_of_log
+from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
@@ -103,8 +104,14 @@ def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> Sensor
     if found is None:
         return SensorReport((*prepared.findings, *known_quirks(log)))
     lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
-    lines += latency_findings(prepared, found)
-    lines = with_field(lines, prepared, found, knowledge)
+    turn = None
+    is_usable = not prepared.restamped and not any(
+        f.key == WRONG_UNIT and f.is_wrong for f in lines
+    )
+    if is_usable and found.hypothesis is not None and found.body is not None:
+        turn = fit_turn(found.body, found.hypothesis, knowledge, bool(found.up_is_down))
+    lines += latency_findings(prepared, found, turn)
+    lines = with_field(lines, prepared, found, knowledge, turn)
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
