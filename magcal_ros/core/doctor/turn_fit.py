@@ -85,13 +85,15 @@ def _window(
 def _latency(found: Smoothed, lag: float) -> Belief:
     """Return the latency by the samples alone, without the prior, if `lag` is subtracted."""
     at, best = AT["latency"].start, found.fit
+    prior = float(best.model.priors.scale[at]) * best.point.groups["latency"]
+    if not prior > 0.0:
+        return Belief.unknown()
     weights = np.array(list(found.weights.values()))
     value = np.array([fit.state.shared[at] for fit in found.fits.values()])
     variance = np.array([fit.covariance[at, at] for fit in found.fits.values()])
     mean = float(weights @ value)
     both = 1.0 / float(weights @ (variance + (value - mean) ** 2))
-    prior = float(best.model.priors.scale[at]) * best.point.groups["latency"]
-    own = both - prior**-2.0 if prior > 0.0 else 0.0
+    own = both - prior**-2.0
     if own <= 0.0:
         return Belief.unknown()
     return Belief(lag + mean * both / own, math.hypot(own**-0.5, FINE.least))

@@ -437,3 +437,11 @@ def test_wrong_axes_of_the_imu_are_not_attributed_to_the_magnetometer():
 def test_the_distinguishing_movement_is_asked_for_once():
     (line,) = [f for f in mirrored_on_the_level(1).findings if f.key == "axes"]
     assert line.remedy.count("lift the nose") == 1
+
+
+def test_a_robot_of_exact_sensors_has_no_latency_to_be_shown():
+    """The smoother holds the latency at zero for exact sensors."""
+    case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
+    report = examine(case.log, replace(case.knowledge, exact_sensors=True))
+    lines = {f.key: f for f in report.findings}
+    assert lines["latency"].evidence.startswith("not shown")
