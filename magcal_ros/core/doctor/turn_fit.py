@@ -1,7 +1,7 @@
-"""Latency of the field, field of the motors, and drives, by the smoother's fit of a log.
+"""Latency of the field, field of the motors, and whether a robot drove, by the smoother.
 
-A latency and the motors' field are known if the samples show them; the smoother's priors, by which
-most robots have neither, are no evidence.
+Most robots have no latency, and the smoother's prior says so. It is removed from the latency's
+posterior, so that a latency is reported only if the samples determine it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from magcal_ros.core.smoother.unknowns import AT, BODY_FIELD, DRIVES, MICROTESLA
 
 @dataclass(frozen=True, eq=False)
 class TurnFit:
-    """What the smoother's fit of a turn says of the sensors."""
+    """Latency, motors and kind of motion by the smoother's fit of a turn."""
 
     latency: Belief  # of the field, seconds
     motors: FloatArray | None
@@ -41,7 +41,8 @@ def fit_turn(
 ) -> TurnFit | None:
     """Return the fit of a log in rad/s and body axes by a hypothesis; None if it is refused.
 
-    A large latency is subtracted, too: that of the field's middles is not exact.
+    The smoother is linear in the latency. If the hypothesis has a large one, a second fit is made
+    with this latency subtracted from the stamps, and the likelier of the two is used.
     """
     lag = float(hypothesis.state[LAG])
     found: list[tuple[float, Smoothed]] = []
@@ -54,11 +55,11 @@ def fit_turn(
     if not found:
         return None
     lag, best = max(found, key=lambda one: _log_odds(one[1]))
-    return TurnFit(_latency(best, lag), *_motors(best), drove_while_turning(best))
+    return TurnFit(_latency(best, lag), *_motors(best), _drove(best))
 
 
 def _log_odds(found: Smoothed) -> float:
-    """Return the log of the evidence of all kinds of motion together."""
+    """Return the log evidence of all kinds of motion together."""
     own = math.log(USUAL.get(found.mode, 1.0) / found.weights[found.mode])
     return own - EVIDENCE_WEIGHT * found.fit.evidence
 
@@ -83,7 +84,7 @@ def _window(
 
 
 def _latency(found: Smoothed, lag: float) -> Belief:
-    """Return the latency by the samples alone, without the prior, if `lag` is subtracted."""
+    """Return the latency by the samples alone, after `lag` seconds were subtracted."""
     at, best = AT["latency"].start, found.fit
     prior = float(best.model.priors.scale[at]) * best.point.groups["latency"]
     if not prior > 0.0:
@@ -114,10 +115,11 @@ def _motors(found: Smoothed) -> tuple[FloatArray | None, float]:
     return field / MICROTESLA, sigma / MICROTESLA
 
 
-def drove_while_turning(found: Smoothed) -> bool:
+def _drove(found: Smoothed) -> bool:
     """Return whether the robot drove: by the kind of motion, or by the radius of its circle.
 
-    A steady circle between rests can also be explained by a shift of the accelerometer in motion.
+    In a steady circle between rests, the smoother may explain the centripetal acceleration by a
+    shift of the accelerometer in motion. The shift then shows the radius.
     """
     if sum(found.weights.get(kind, 0.0) for kind in DRIVES) > 0.5:
         return True
