@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from drives import ROBOT
+from long_form import first_of
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core import Grade, Knowledge, Reason, Refusal, calibrate, check
@@ -40,7 +41,7 @@ def figures(result):
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-@pytest.mark.parametrize("arc", [math.tau, -math.tau, 4.0])
+@pytest.mark.parametrize("arc", first_of([math.tau, -math.tau, 4.0]))
 def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
     result = check(window(seed=2, gyro=gyro, arc=arc), calibration)
     assert result.state == "holds", result.verdict.summary
@@ -68,7 +69,7 @@ def test_one_made_without_a_position_holds_on_level_ground(stated):
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-@pytest.mark.parametrize("shift", [(5, 0), (0, -5), (-3.5, 3.5)])
+@pytest.mark.parametrize("shift", first_of([(5, 0), (0, -5), (-3.5, 3.5)]))
 def test_a_hard_iron_change_of_5_ut_makes_it_stale(calibration, gyro, shift):
     result = check(window(moved(*shift), seed=3, gyro=gyro), calibration)
     assert result.state == "stale"
@@ -98,12 +99,14 @@ def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
 @pytest.mark.parametrize("gyro", [True, False])
 @pytest.mark.parametrize(
     "change",
-    [
-        {"x": 3.0, "y": 2.0},
-        {"pitch": ROBOT.pitch + math.radians(3.0)},
-        {"x": -4.0, "roll": ROBOT.roll - math.radians(4.0)},
-    ],
-    ids=["hard iron", "mounting", "both"],
+    first_of(
+        [
+            {"x": -4.0, "roll": ROBOT.roll - math.radians(4.0)},
+            {"x": 3.0, "y": 2.0},
+            {"pitch": ROBOT.pitch + math.radians(3.0)},
+        ]
+    ),
+    ids=["both", "hard iron", "mounting"],
 )
 def test_the_swing_is_the_heading_error_of_the_old_calibration(calibration, change, gyro):
     robot = moved(**change)
