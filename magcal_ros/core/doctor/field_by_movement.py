@@ -185,10 +185,10 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
 def motors_finding(turn: TurnFit | None, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
     """Check for a field that exists only while the robot turns; a late field looks the same."""
     state = hypothesis.state
+    if turn is not None and turn.drove:
+        return undetermined("motors", MOTORS, ON_THE_SPOT)
     if turn is None or turn.motors is None:
         return undetermined("motors", MOTORS, BETWEEN_RESTS)
-    if turn.drove:
-        return undetermined("motors", MOTORS, ON_THE_SPOT)
     field, off = turn.motors, turn.motors_sigma
     strength = float(np.linalg.norm(field))
     is_seen = strength > max(ERRORS.motors, CLEAR * off)

@@ -38,6 +38,15 @@ def test_a_drive_before_a_circle_is_not_taken_for_motors(case):
     assert ("the robot drove while it turned" in line.evidence) != is_named
 
 
+def test_a_circle_without_a_rest_is_answered_by_a_turn_on_the_spot():
+    log = log_of(11.0, [0.0, 0.0, 0.0])
+    moves = (log.imu_time > 3.0) & (log.imu_time < 22.0)
+    stamps = log.imu_time[moves]
+    circle = SensorLog(stamps, log.force[moves], log.rate[moves], stamps, log.field[moves])
+    (line,) = (f for f in examine(circle).findings if f.key == "motors")
+    assert "the robot drove while it turned" in line.evidence
+
+
 def test_a_hand_held_swing_gives_no_fault_of_axes_or_unit():
     rng = np.random.default_rng(8)
     time = np.arange(0.0, 30.0, 0.01)
