@@ -61,7 +61,7 @@ METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
 """Names of `fit` and of `fit_drive` in files and in the parameter `method`."""
 FEWEST_SECTORS = 4  # sectors of heading, of twelve, that a drive has to reach
 LARGEST_STREET = 12.0
-"""µT of local disturbance beyond which the axes of the sensors do not match."""
+"""µT of local disturbance and noise beyond which the axes of the sensors do not match."""
 INLIER_WEIGHT = 0.3  # Student weight above which a node counts as an inlier
 LARGEST_GAIN_ERROR = 0.1  # of a sensor, relative; a body explains a larger loss of the level field
 
@@ -135,19 +135,20 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
     if found.nodes.tied_to is not None:
         _check_turn_without_gyro(found, estimate, knowledge)
         return
+    if not gyro_is_usual(found.fit):
+        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
     if found.mode in DRIVES:
         _check_drive(found, estimate)
-    elif not gyro_is_usual(found.fit):
-        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
 
 
 def _check_drive(found: Smoothed, estimate: Estimate) -> None:
     """Refuse a drive with too few headings or a too large disturbance."""
-    street = found.fit.point.sizes["street"]
-    if street > LARGEST_STREET:
+    sizes = found.fit.point.sizes
+    deviation = math.hypot(sizes["street"], sizes["field"])
+    if deviation > LARGEST_STREET:
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"along the drive the field deviates by {street:.0f} µT from what gyro and gravity "
+            f"along the drive the field deviates by {deviation:.0f} µT from what gyro and gravity "
             "predict; check that the axes of both sensors match, and drive away from iron",
         )
     sectors = estimate.figures[Figure.HEADINGS_DRIVEN]
