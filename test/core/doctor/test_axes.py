@@ -65,6 +65,7 @@ def test_good_sensors_are_never_called_wrong(seed):
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(900)
 def test_good_sensors_are_not_called_wrong_in_hundreds_of_turns():
     for seed in range(300):
         window, knowledge = good_case(np.random.default_rng([seed, 4]))
