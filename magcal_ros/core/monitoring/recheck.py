@@ -8,6 +8,7 @@ the cause, and its covariance shows how certain this is.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,27 +194,23 @@ def _checks(
     found: Smoothed, estimate: Estimate, calibration: Calibration
 ) -> tuple[list[Check], GyroSwing | None]:
     """Return the checks by a fit of the corrected field, and the swing of compass minus gyro."""
-    old = calibration.correction
-    new, field = estimate.correction.after(old), (calibration.strength, calibration.inclination)
-    raw, nodes = Correction.identity(), found.nodes
-    corrected, is_fixed = nodes.field / MICROTESLA, found.mode not in DRIVES
+    old, is_fixed = calibration.correction, found.mode not in DRIVES
+    new = estimate.correction.after(old)
+    corrected = found.nodes.field / MICROTESLA
+    raw = old.undo(corrected)
+    by_old, by_none = (
+        heading_swing(new, each, calibration.strength, calibration.inclination)
+        for each in (old, Correction.identity())
+    )
     chance = CHANGE.chance * calibration_sigma(estimate)
     if is_fixed:
         chance = math.hypot(chance, _distortion(estimate, corrected))
-    by_fit = heading_swing(new, old, *field)
-    checks = [check_beside_chance(SWING_BOUND, by_fit, chance, heading_swing(new, raw, *field))]
-    swing = None
+    checks, swing = [check_beside_chance(SWING_BOUND, by_old, chance, by_none)], None
     if estimate.swing is not None:
-        swing, by_raw = (smoother.swing_of(found, f) for f in (corrected, old.undo(corrected)))
-        left = math.sqrt(max(swing.rms**2 - by_fit**2, 0.0))
-        checks.append(_check_gyro(left, by_raw.rms, is_fixed))
-    up = found.fit.state.attitude[:, :, 2]
-    stretches = max(float(np.ptp(nodes.time)) / CHANGE.correlation_time, 1.0)
-    local = found.fit.local_field / MICROTESLA / calibration.strength / math.sqrt(stretches)
-    after, before = (_offsets(each, up, calibration) for each in (corrected, old.undo(corrected)))
-    for bound, value, by_old in zip((STRENGTH_BOUND, DIP_BOUND), after, before, strict=True):
-        checks.append(check_beside_chance(bound, value, CHANGE.chance * local, by_old))
-    return checks, swing
+        swing = smoother.swing_of(found, corrected)
+        left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
+        checks.append(_check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed))
+    return [*checks, *_check_place(found, corrected, raw, calibration)], swing
 
 
 def _distortion(estimate: Estimate, field: FloatArray) -> float:
@@ -236,6 +233,18 @@ def _check_gyro(left: float, raw: float, is_fixed: bool) -> Check:
     if graded.grade.rank < Grade.WARN.rank:
         return graded
     return replace(graded, grade=Grade.WARN, is_judged=False)
+
+
+def _check_place(
+    found: Smoothed, corrected: FloatArray, raw: FloatArray, calibration: Calibration
+) -> Iterator[Check]:
+    """Yield the grades of mean strength and dip; both fields (n, 3) are those of the nodes."""
+    up, time = found.fit.state.attitude[:, :, 2], found.nodes.time
+    stretches = max(float(np.ptp(time)) / CHANGE.correlation_time, 1.0)
+    local = found.fit.local_field / MICROTESLA / calibration.strength / math.sqrt(stretches)
+    after, before = (_offsets(each, up, calibration) for each in (corrected, raw))
+    for bound, value, by_raw in zip((STRENGTH_BOUND, DIP_BOUND), after, before, strict=True):
+        yield check_beside_chance(bound, value, CHANGE.chance * local, by_raw)
 
 
 def _offsets(field: FloatArray, up: FloatArray, calibration: Calibration) -> tuple[float, float]:
