@@ -135,10 +135,10 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
     if found.nodes.tied_to is not None:
         _check_turn_without_gyro(found, estimate, knowledge)
         return
-    if not gyro_is_usual(found.fit):
-        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
     if found.mode in DRIVES:
         _check_drive(found, estimate)
+    elif not gyro_is_usual(found.fit):
+        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
 
 
 def _check_drive(found: Smoothed, estimate: Estimate) -> None:
