@@ -63,11 +63,12 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{'':42s}" + "".join(f"{size:>11.0f} µT" for size in SIZES) + f"{'swing':>8s}")
     print(f"{'holds/doubtful/stale/nothing shown':42s}")
+    cases = rows()
     for name in CASES:
         counts = {size: dict.fromkeys(STATES, 0) for size in SIZES}
         swings: list[float] = []
         for number in range(arguments.first, arguments.first + arguments.robots):
-            scene, knowledge = rows()[name](number)
+            scene, knowledge = cases[name](number)
             made = calibrate(window_of(scene, 0.0, number), knowledge).calibration
             if made is None:
                 continue

@@ -213,7 +213,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     ),
     Bound(
         Figure.HEADINGS_DRIVEN,
-        (11.0, 8.0, 0.0),
+        (11.0, 8.0, 0.0),  # the sigma decides on a refusal
         "headings driven, of 12:",
         ALL_HEADINGS,
         unit="",

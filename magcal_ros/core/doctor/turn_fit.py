@@ -41,8 +41,9 @@ def fit_turn(
 ) -> TurnFit | None:
     """Return the fit of a log in rad/s and body axes by a hypothesis; None if it is refused.
 
-    The smoother is linear in the latency. If the hypothesis has a large one, a second fit is made
-    with this latency subtracted from the stamps, and the likelier of the two is used.
+    The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
+    If the hypothesis has one, a second fit is made with it subtracted from the stamps, and the
+    likelier of the two is used.
     """
     lag = float(hypothesis.state[LAG])
     found: list[tuple[float, Smoothed]] = []

@@ -1,4 +1,4 @@
-"""Whether the corrected field of a drive depends on the heading, and the grade of a figure.
+"""Whether the corrected field depends on the heading, and grades of figures beside chance.
 
 A well corrected field has the same strength, rise and dip at every heading, and its yaw turns like
 the gyro. Deviations are fitted robustly by harmonics of the heading. Errors within half a minute
@@ -25,7 +25,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.samples.coverage import BINS, COVERAGE, Coverage
 
@@ -44,7 +44,7 @@ class ChangeTuning:
     steepest_nose: float = 0.75  # squared component of up along x (60°) beyond which no yaw is used
     widest_hole: float = math.radians(100.0)  # radians of heading that may be missing for harmonics
     chance: float = 2.0  # sigmas that chance may reach in a recheck
-    clearly: float = 4.0  # the same in one of many tests, and on a street
+    clearly: float = 4.0  # the same where many tests are made, as while driving
     sectors: int = 4  # least courses, of eight, for a comparison with the compass
     longest_visit: float = 4.0  # seconds after which a visit is recorded in any case
 
@@ -74,13 +74,13 @@ class Record(NamedTuple):
     rate: float  # of yaw, rad/s
 
 
-def records_of(samples: FloatArray, heading: FloatArray) -> FloatArray:
+def records_of(samples: FloatArray) -> FloatArray:
     """Return one record of each visit to a sector of heading, shape (k, 7).
 
-    The samples (n, 7) have the columns of `Record`. `heading` (n,) decides on the visits, radians.
+    The samples (n, 7) have the columns of `Record`.
     """
     visit = np.floor((samples[:, 0] - samples[0, 0]) / CHANGE.longest_visit)
-    sector = np.floor(np.mod(heading, math.tau) / SECTOR)
+    sector = np.floor(np.mod(samples[:, 1], math.tau) / SECTOR)
     rows = np.column_stack([samples[:, 5], visit, sector])
     first = np.append(0, np.flatnonzero(np.diff(rows, axis=0).any(axis=1)) + 1)
     count = np.diff(np.append(first, len(rows)))
@@ -156,19 +156,13 @@ def fit_harmonics(
 
 
 class GyroComparison(NamedTuple):
-    """Compass minus gyro: the rows that are compared, the deviation, and its harmonics.
+    """Compass minus gyro, radians, shape (n,), and its harmonics.
 
     A part of a turn has no harmonics: they cannot be separated from a bias of the gyro.
     """
 
-    rows: IntArray
     deviation: FloatArray
     waves: HarmonicFit | None
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the deviation, radians."""
-        return math.sqrt(float(np.mean(self.deviation**2)))
 
 
 def compass_minus_gyro(
@@ -203,7 +197,7 @@ def compass_minus_gyro(
     drift = 0, COVERAGE.largest_gyro_bias
     waves = fit_harmonics(np.concatenate(columns), gap, stamp[every], sigmas, drift)
     deviation = wrap_angle(gap - waves.columns[:, 0] * waves.values[0])
-    return GyroComparison(every, deviation, waves if is_round else None)
+    return GyroComparison(deviation, waves if is_round else None)
 
 
 def check_beside_chance(

@@ -301,7 +301,7 @@ class CalibrationMonitor:
         samples = np.array(self._samples)
         self._samples.clear()
         self._looked = now
-        for row in records_of(samples, samples[:, 1]).tolist():
+        for row in records_of(samples).tolist():
             self._keep(Record(*row))
         records: FloatArray = np.array(self._records)
         # The newest half shows a change sooner; all records show a smaller one.

@@ -216,8 +216,8 @@ def _checks(
 def _distortion(estimate: Estimate, field: FloatArray) -> float:
     """Return the heading error in a distorted place that no calibration explains, radians.
 
-    In one place, the strength of a field (n, 3) with the right calibration is constant. It varies
-    as much as each component of the local disturbance does.
+    In an undisturbed place, the strength of a rightly corrected field (n, 3) is constant. Elsewhere
+    its standard deviation is about that of one component of the local disturbance.
     """
     size = np.linalg.norm(estimate.correction.apply(field), axis=1)
     return float(np.std(size)) / (estimate.strength * math.cos(estimate.inclination))

@@ -123,7 +123,7 @@ def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
 
 
 def difference(old: Calibration, new: Calibration) -> float:
-    """Return the RMS difference of two calibrations over headings, radians, but for a constant."""
+    """Return the RMS difference of two calibrations over headings, without a constant; radians."""
     return heading_swing(new.correction, old.correction, new.strength, new.inclination)
 
 
