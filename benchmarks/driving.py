@@ -255,7 +255,7 @@ def directions(drive: Drive) -> tuple[int, int]:
 
 def recorded(folder: Path) -> None:
     """Print the results of recorded cars: heading with and without their fixes, beta, o."""
-    show(("recording", "heading RMS without speed", "with", "beta", "-o", "swing once around"))
+    show(("recording", "heading RMS without speed", "with", "beta", "-o"))
     show(("---",) * 6)
     for name, turned in CARS.items():
         if not (folder / name).is_dir() or not (folder / turned).is_dir():
@@ -271,13 +271,8 @@ def recorded(folder: Path) -> None:
         cells = [heading_rms(each, truth) for each in (without, seen)]
         beta = "-" if seen.mounting is None else angle(seen.mounting.yaw, seen.mounting.sigma)
         course = seen.course
-        swing = (
-            "-"
-            if course is None
-            else f"{math.degrees(course.swing(1)[0]):.1f} ({course.swing(1)[1]:.0f} sigma)"
-        )
         offset = "-" if course is None else angle(course.offset, course.sigma)
-        show((name, *cells, beta, offset, swing))
+        show((name, *cells, beta, offset))
 
 
 def angle(value: float, sigma: float) -> str:

@@ -2,7 +2,8 @@
 
 Drives through cities with streets that bend the field, as the node would decide on them. Degrees
 of heading on the level, a constant taken off. `--drives N` sets how many of each and
-`--first SEED` the first; `--only NAME` runs one of: fit, circles, long, begin, jump, good, traps.
+`--first SEED` the first; `--only NAME` runs one of: fit, circles, long, begin, jump, good, traps,
+watch.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
-from magcal_ros.core.self_calibration.jobs import Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.jobs import Decision, DecisionKind, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.core.self_calibration.worker import examine_drive
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
@@ -50,6 +51,7 @@ BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
 CHANGE_AT = 180.0
 WORSE = 0.3
+WATCHED_FROM = 240.0
 
 
 def drive_of(seed: int, seconds: float, legs: list[Leg] | None = None, **options: object) -> Drive:
@@ -299,6 +301,78 @@ def bench_traps(seeds: range) -> None:
         )
 
 
+def watched(drive: Drive, in_force: Calibration) -> list[tuple[float, bool]]:
+    """Return when the calibration in force was said to be stale, and when no longer, seconds."""
+    machine, states = ChangesOfWatch(), list[tuple[float, bool]]()
+    replay_drive(BOSTON, in_force, drive._sensors(), drive.speeds, machine)
+    for clock, is_stale in machine.states:
+        if is_stale is not (bool(states) and states[-1][1]):
+            states.append((clock - machine.recorder.start, is_stale))
+    return states
+
+
+class ChangesOfWatch(SelfCalibration):
+    """Makes no decision, and keeps what each job says about the calibration in force."""
+
+    def __init__(self) -> None:
+        super().__init__(Mode.PROPOSE)
+        self.states: list[tuple[float, bool]] = []
+
+    def _weigh(self, findings: DriveResult) -> list[Decision]:
+        self.states.append((findings.clock, self.watch.is_stale))
+        return []
+
+
+def bench_watch(seeds: range) -> None:
+    """A calibration in force that holds, and one that no longer does from `WATCHED_FROM` on."""
+
+    def with_iron(size: float) -> Callable[[int], tuple[Drive, Calibration]]:
+        def make(seed: int) -> tuple[Drive, Calibration]:
+            angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
+            iron = (size * math.cos(angle), size * math.sin(angle), 0.0)
+            drive = drive_of(seed, 660.0, irons=(Iron(iron, WATCHED_FROM),) if size else ())
+            return drive, calibration_of(drive.vehicle.robot.true_correction)
+
+        return make
+
+    def moved(seed: int) -> tuple[Drive, Calibration]:
+        drive = drive_of(seed, 660.0)
+        angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
+        tilt = math.radians(5.0)
+        rotation = rotation_from_rpy(tilt * math.cos(angle), tilt * math.sin(angle), 0.0)
+        true = drive.vehicle.robot.true_correction
+        return drive, calibration_of(Correction(rotation @ true.matrix, true.hard_iron))
+
+    def route(legs: list[Leg]) -> Callable[[int], tuple[Drive, Calibration]]:
+        def make(seed: int) -> tuple[Drive, Calibration]:
+            drive = drive_of(seed, 660.0, legs)
+            return drive, calibration_of(drive.vehicle.robot.true_correction)
+
+        return make
+
+    cases = {
+        "holds, city": (with_iron(0.0), math.inf),
+        "holds, one street": (route(one_street(14)), math.inf),
+        "3 µT added (6°)": (with_iron(3e-6), WATCHED_FROM),
+        "5 µT added (10°)": (with_iron(5e-6), WATCHED_FROM),
+        "10 µT added (20°)": (with_iron(10e-6), WATCHED_FROM),
+        "mounting off by 5° (8°)": (moved, 0.0),
+    }
+    for name, (make, since) in cases.items():
+        false, after = 0, []
+        for seed in seeds:
+            begun = [at for at, is_stale in watched(*make(seed)) if is_stale]
+            false += any(at < since for at in begun)
+            after.append(min((at - since for at in begun if at >= since), default=math.inf))
+        found = [at for at in after if math.isfinite(at)]
+        middle, worst = (f"{each(found):.0f}" if found else "-" for each in (np.median, max))
+        print(
+            f"{name}: wrongly stale {false} of {len(seeds)} found {len(found)} after {middle} s"
+            f" (median) {worst} s (worst)",
+            flush=True,
+        )
+
+
 def rms(values: list[float]) -> float:
     return math.sqrt(float(np.mean(np.square(values)))) if values else math.nan
 
@@ -311,6 +385,7 @@ BENCHES = {
     "jump": bench_jump,
     "good": bench_good,
     "traps": bench_traps,
+    "watch": bench_watch,
 }
 
 

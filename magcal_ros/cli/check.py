@@ -60,7 +60,7 @@ def run_check(options: argparse.Namespace) -> int:
         notes.insert(0, f"the calibration was {about}")
     slow = recording.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
-    notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
+    notes += [] if course is None else [course.words]
     notes += [own] if own else []
     try:
         with recorded.with_progress(lambda: "checking", sys.stderr):

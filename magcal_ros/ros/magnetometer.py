@@ -16,7 +16,6 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.monitor import CalibrationMonitor
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
@@ -82,8 +81,6 @@ class Magnetometer:
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
-        self.monitor: CalibrationMonitor | None = None
-        """Monitor of the calibration; only of the first magnetometer."""
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
         group = pipeline.sensor_group if is_first else None
@@ -144,9 +141,6 @@ class Magnetometer:
         self.compass = None if calibration is None else Compass(calibration)
         if self.out is not None:
             self.out.put_in_force(self.compass, magnetometer_frame)
-        self.monitor = (
-            CalibrationMonitor(calibration) if self.number == FIRST and calibration else None
-        )
         self._owner.calibration_changed(self)
 
     def _on_field(self, data: bytes) -> None:
@@ -168,8 +162,6 @@ class Magnetometer:
             reading = self._pipeline.reading_of(self.compass, sample, streams)
             self.out.publish(reading.field, arrived, self._pipeline.body_frame())
             self._pipeline.take(self.number, reading, arrived)
-            if self.monitor is not None:
-                self.monitor.take(reading)
         if not streams.is_repeated:
             self.control.add(sample)
 

@@ -265,7 +265,7 @@ class Calibrator(Node):
                 self._pipeline.headings.reading, self._pipeline.leading, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(),
-            status.monitor_diagnostic(self._first.monitor, self._self_calibration),
+            status.watch_diagnostic(self._self_calibration),
             *self._travel.diagnostics(),
             *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
@@ -288,7 +288,9 @@ class Calibrator(Node):
             "known_headings": self._known.facts(),
         }
         reference = self._reference.reference
-        text = status.status_json(self._magnetometers, reference, parts)
+        text = status.status_json(
+            self._magnetometers, reference, self._self_calibration.watch, parts
+        )
         if text != self._status:
             self._status = text
             self._status_out.publish(String(data=text))

@@ -217,7 +217,8 @@ PARAMETERS: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
         "What is done with a calibration from ordinary driving that is better on held-out data: "
-        "propose it (call ~/accept), apply it (and go back if it proves worse), or off: no search"
+        "propose it (call ~/accept), apply it (and go back if it proves worse), or off: no search, "
+        "only the calibration in force is watched"
     ),
     ParameterSpec("reference.strength_ut", UNSET, NumberRange(15.0, 100.0, "µT")).means(
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"

@@ -16,6 +16,7 @@ from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
+from magcal_ros.core.self_calibration.watch import Watch
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
@@ -45,8 +46,6 @@ class SelfCalibrationRunner:
 
     def on_field(self, sample: FieldSample, travel: Travel) -> None:
         """Take a field sample, and the state of the vehicle."""
-        if self.machine.mode is Mode.OFF:
-            return
         self._pairer.offer(sample)
         for pair in self._pairer.take():
             if self.machine.add(pair, travel.estimator.speed):
@@ -62,6 +61,12 @@ class SelfCalibrationRunner:
             self.machine.forget()
         if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()
+
+    @property
+    def watch(self) -> Watch | None:
+        """What the drive says about the calibration in force; None without one."""
+        is_calibrated = self._magnetometer.store.calibration is not None
+        return self.machine.watch if is_calibrated else None
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""

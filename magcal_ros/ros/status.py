@@ -15,7 +15,7 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.heading.compass import CompassReading
-from magcal_ros.core.monitoring.monitor import CalibrationMonitor, MonitorResult
+from magcal_ros.core.self_calibration.watch import Watch
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.files.default_paths import identifier
@@ -29,7 +29,10 @@ from magcal_ros.ros.wire import diagnostic, yaw_values
 
 
 def status_json(
-    magnetometers: Magnetometers, reference: Reference, parts: Mapping[str, Any]
+    magnetometers: Magnetometers,
+    reference: Reference,
+    watch: Watch | None,
+    parts: Mapping[str, Any],
 ) -> str:
     """Return the content of `~/status`: one JSON object with stable keys and displayed units.
 
@@ -53,7 +56,7 @@ def status_json(
         "turns_kept": turn.turns_kept,
         "several": None if multi_turn is None else multi_turn.facts(),
         "calibration": _calibration(store),
-        "watch": None if first.monitor is None else _monitoring(first.monitor.result),
+        "watch": None if watch is None else _watch(watch),
         "magnetometers": magnetometers.facts(),
         "dropped": {
             "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
@@ -101,11 +104,11 @@ def _verdict(outcome: Outcome) -> Mapping[str, Any]:
     }
 
 
-def _monitoring(result: MonitorResult) -> Mapping[str, Any]:
+def _watch(watch: Watch) -> Mapping[str, Any]:
     return {
-        "stale": result.is_stale,
-        "summary": result.summary,
-        "findings": {f.key: round(f.value or 0.0, 2) for f in result.findings},
+        "stale": watch.is_stale,
+        "summary": watch.summary,
+        "findings": {f.key: round(f.value or 0.0, 2) for f in watch.findings},
     }
 
 
@@ -180,16 +183,14 @@ def field_diagnostic(
     return diagnostic("Field", words, values, level)
 
 
-def monitor_diagnostic(
-    monitor: CalibrationMonitor | None, runner: SelfCalibrationRunner
-) -> DiagnosticStatus:
-    """Return the diagnostic of the calibration's monitoring and of self-calibration."""
+def watch_diagnostic(runner: SelfCalibrationRunner) -> DiagnosticStatus:
+    """Return the diagnostic of whether the calibration holds, and of self-calibration."""
     values = {"self-calibration": runner.facts()["doing"], "fits lost": str(runner.lost)}
     words, is_wrong = ["nothing to watch before a calibration is in force"], bool(runner.problem)
-    if monitor is not None:
-        result = monitor.result
-        words, is_wrong = [result.summary], is_wrong or result.is_stale
-        values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in result.findings}
+    watch = runner.watch
+    if watch is not None:
+        words, is_wrong = [watch.summary], is_wrong or watch.is_stale
+        values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watch.findings}
     words += [runner.problem] if runner.problem else []
     level = DiagnosticStatus.WARN if is_wrong else DiagnosticStatus.OK
     return diagnostic("Watch", "; ".join(words), values, level)

@@ -25,7 +25,6 @@ from magcal_ros.core.heading.base_heading import (
     compare_with_course,
 )
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
@@ -92,13 +91,11 @@ class Travel:
 
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
         """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
-        estimator, verdict = self.estimator, self.verdict
+        estimator = self.estimator
         if not estimator.is_heard:
             return None
         north = reference.declination, reference.declination_sigma
         self.driven_yaw = compare_with_course(estimator.known_mounting, estimator.course, *north)
-        if verdict:
-            announcer.tell("course", verdict, wrong=True)
         found = self.driven_yaw.yaw
         if (
             found is None
@@ -124,14 +121,6 @@ class Travel:
             words.append(self.driven_yaw.suspicion)
         return words
 
-    @property
-    def verdict(self) -> str:
-        """Why the course contradicts the calibration in force; empty if it does not."""
-        if self.estimator.known_mounting is None:
-            # If the vehicle may move sideways, its course says nothing about the compass.
-            return ""
-        return course_fault(check_by_course(self.estimator.course))
-
     def yaw_facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
         yaw = self.yaw
@@ -154,17 +143,14 @@ class Travel:
             "course_gap_deg": _degrees(self.driven_yaw.compass_gap),
             "course_gap_sigma_deg": _degrees(self.driven_yaw.compass_sigma),
             "course_metres": None if course is None else round(course.metres, -1),
-            "course_swing_deg": None if course is None else _degrees(course.swing(1)[0]),
-            "verdict": self.verdict,
         }
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the drive; empty without speeds and fixes."""
         if not self.estimator.is_heard:
             return []
-        yaw, verdict = self.yaw, self.verdict
+        yaw, wrong = self.yaw, self.complaints
         driven_yaw = "the vehicle's front is not known yet" if yaw is None else yaw.words
-        wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
         return [wire.diagnostic("Drive", "; ".join([driven_yaw, *wrong]), values, level)]

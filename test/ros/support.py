@@ -89,9 +89,15 @@ def calibrated():
     return calibrate(window, ROBOT.knowledge()).calibration
 
 
-def store_calibration(path, subtracted=0.0, frame="mag_link"):
-    """Store a calibration of the robot; `subtracted` is the tilt by a steady acceleration, rad."""
+def store_calibration(path, subtracted=0.0, frame="mag_link", iron=0.0):
+    """Store a calibration of the robot; `subtracted` is the tilt by a steady acceleration, rad.
+
+    Its hard iron is wrong by `iron`, tesla.
+    """
     calibration = calibrated()
+    correction = calibration.correction
+    correction = replace(correction, hard_iron=correction.hard_iron + iron)
+    calibration = replace(calibration, correction=correction)
     figures = {**calibration.evidence.figures, "steady_pull": subtracted}
     evidence = replace(calibration.evidence, figures=figures)
     calibration = replace(calibration, evidence=evidence)

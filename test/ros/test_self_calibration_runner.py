@@ -18,7 +18,7 @@ from magcal_ros.core import calibrate
 from magcal_ros.core.self_calibration import Decision, DecisionKind, DriveResult
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import backup_files, read_calibration
-from magcal_ros.ros.status import monitor_diagnostic
+from magcal_ros.ros.status import watch_diagnostic
 from magcal_ros.ros.worker_process import WorkerStopped
 
 
@@ -97,12 +97,12 @@ class TestInTheNode:
         runner._lost(OSError("no memory"))
         assert "no memory" in printed[0]
         assert runner.facts()["fits_lost"] == 1
-        status = monitor_diagnostic(None, runner)
+        status = watch_diagnostic(runner)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
         runner.machine.job(house._first.drive_knowledge())
         runner._note(DriveResult(0.0))
-        assert monitor_diagnostic(None, runner).level == DiagnosticStatus.OK
+        assert watch_diagnostic(runner).level == DiagnosticStatus.OK
         assert runner.facts()["fits_lost"] == 1
 
     def test_a_job_ended_by_the_node_is_not_reported(self, house):

@@ -79,27 +79,11 @@ class Figure(str, Enum):
     single samples; radians."""
     GYRO_COMPASS_DIFFERENCE = "gyro_compass_difference"
     """RMS of compass minus gyro in a recheck, without the part by the calibration, radians."""
-    GYRO_COMPASS_HARMONIC = "gyro_compass_harmonic"
-    """RMS of the first harmonic of compass minus gyro over the headings of a drive, radians; zero
-    if not significant. With few headings it is the median size of the difference, if that is
-    large."""
 
     HEADING_SWING = "heading_swing"
     """RMS heading error of a calibration by a new fit, without its constant part, radians."""
     STRENGTH_OFFSET = "strength_offset"  # mean strength minus the calibrated one, over the latter
     DIP_OFFSET = "dip_offset"  # mean dip minus the calibrated inclination, radians
-    HARD_IRON_CHANGE = "hard_iron_change"
-    """Change of the level hard iron over the level field, by a drive."""
-    SOFT_IRON_CHANGE = "soft_iron_change"
-    """Second harmonic of the strength, over the squared cosine of the inclination."""
-    MOUNTING_CHANGE = "mounting_change"  # change of the angle between field and gravity, radians
-    STRENGTH_SHIFT = "strength_shift"
-    """Deviation of the strength common to all headings of a drive, over the calibrated strength."""
-    DIP_SHIFT = "dip_shift"  # deviation of the dip common to all headings of a drive, radians
-
-    COURSE_SWING_ONCE = "course_swing_once"
-    """Amplitude of the first harmonic of compass minus course, radians: hard iron."""
-    COURSE_SWING_TWICE = "course_swing_twice"  # second harmonic: soft iron
 
     STRENGTH = "strength"  # strength of the field, tesla
     GRAVITY = "gravity"  # median length of the specific force, m/s²
@@ -155,12 +139,8 @@ class Figure(str, Enum):
 
     @property
     def key(self) -> str:
-        """The name of the figure in JSON and status.
-
-        The comparisons of gyro and compass by a recheck and a drive have the same name.
-        """
-        compared = (Figure.GYRO_COMPASS_DIFFERENCE, Figure.GYRO_COMPASS_HARMONIC)
-        return "gyro_compass_rms" if self in compared else self.value
+        """The name of the figure in JSON and status."""
+        return "gyro_compass_rms" if self is Figure.GYRO_COMPASS_DIFFERENCE else self.value
 
 
 def along(name: str, values: FloatArray) -> dict[Figure, float]:

@@ -110,10 +110,18 @@ def heading_differences(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
     """Return the yaw by another correction minus that by the right one, (24,) level headings."""
+    up, field = corrected_on_level(right, right, strength, inclination)
+    _, seen = corrected_on_level(other, right, strength, inclination)
+    return wrap_angle(yaw_from_up_and_field(up, seen) - yaw_from_up_and_field(up, field))
+
+
+def corrected_on_level(
+    other: Correction, right: Correction, strength: float, inclination: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return up and the field by another correction, both (24, 3) at level headings, body axes."""
     poses = _all_headings()
-    up, field = poses[:, :, 2], poses @ field_in_enu(strength, inclination)
-    seen = yaw_from_up_and_field(up, other.apply(right.undo(field)))
-    return wrap_angle(seen - yaw_from_up_and_field(up, field))
+    field = poses @ field_in_enu(strength, inclination)
+    return poses[:, :, 2], other.apply(right.undo(field))
 
 
 def rms_heading_difference(

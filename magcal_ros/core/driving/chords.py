@@ -274,22 +274,13 @@ class Chords:
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
-    """Offset and swing of the compass against course."""
+    """Offset of the compass against course."""
 
     offset: float
     sigma: float
     """Constant part of the yaw of the compass minus course, and its sigma, radians."""
-    harmonics: FloatArray  # cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,).
-    covariance: FloatArray  # of offset and harmonics. Shape (5, 5).
     metres: float  # length of all chords
     sectors: int  # sectors of course with chords, of eight
-
-    def swing(self, order: int) -> tuple[float, float]:
-        """Return a harmonic's amplitude, radians, and its significance in sigmas (root of chi²)."""
-        rows = slice(2 * order - 2, 2 * order)
-        pair = self.harmonics[rows]
-        own = self.covariance[2 * order - 1 : 2 * order + 1, 2 * order - 1 : 2 * order + 1]
-        return float(np.hypot(*pair)), math.sqrt(float(pair @ np.linalg.solve(own, pair)))
 
 
 def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
@@ -338,8 +329,6 @@ def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
     return CourseOffset(
         float(wrap_angle(start + values[0])),
         math.sqrt(covariance[0, 0]),
-        values[1:],
-        covariance,
         float(np.sum(metres)),
         len(np.unique(np.round(psi / math.tau * SECTORS) % SECTORS)),
     )

@@ -36,8 +36,14 @@ from magcal_ros.core.knowledge import (
 from magcal_ros.core.methods import smoother
 from magcal_ros.core.monitoring.change import (
     CHANGE,
-    GYRO_BOUND,
+    DIP_BOUND,
+    OTHER_ROBOT,
+    STRENGTH_BOUND,
+    SWING_BOUND,
     check_beside_chance,
+    compared,
+    local_chance,
+    place_offsets,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
@@ -70,44 +76,23 @@ ON_A_DRIVE = (
     "differs from place to place"
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
-CHANGED = "the hard iron, the soft iron or the sensor's mounting has changed"
-OTHER_ROBOT = "check that the calibration was made for this robot and this sensor"
 DISTORTED = "iron nearby or the motors change the field; turn once, in one place away from iron"
-ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
-
-RECHECK_BOUNDS: tuple[Bound, ...] = (
-    Bound(
-        Figure.HEADING_SWING,
-        (None, 4.0, 7.0),
-        "the calibration makes the heading swing by",
-        CHANGED,
-        when_refused=f"{CHANGED}; {OTHER_ROBOT}",
-    ),
-    replace(GYRO_BOUND, words="gyro against compass, apart from this swing", remedy=DISTORTED),
-    Bound(
-        Figure.STRENGTH_OFFSET,
-        (None, 5.0, 15.0),
-        "field strength differs from the calibrated one by",
-        ELSEWHERE,
-        unit="%",
-    ),
-    Bound(
-        Figure.DIP_OFFSET,
-        (None, 3.0, 8.0),
-        "inclination differs from the calibrated one by",
-        ELSEWHERE,
-    ),
-    Bound(
-        Figure.ARC,
-        (None, 270.0, 0.0),
-        "the turn covers",
-        "the headings that were not seen are not checked",
-        aspect=Aspect.CONFIDENCE,
-        at_least=True,
-    ),
+GYRO = Bound(
+    Figure.GYRO_COMPASS_DIFFERENCE,
+    (None, 4.0, 7.0),
+    "gyro against compass, apart from this swing",
+    DISTORTED,
 )
+ARC_BOUND = Bound(
+    Figure.ARC,
+    (None, 270.0, 0.0),
+    "the turn covers",
+    "the headings that were not seen are not checked",
+    aspect=Aspect.CONFIDENCE,
+    at_least=True,
+)
+RECHECK_BOUNDS = SWING_BOUND, GYRO, STRENGTH_BOUND, DIP_BOUND, ARC_BOUND
 """There is no grade above good: a recheck can only confirm a calibration."""
-SWING_BOUND, GYRO, STRENGTH_BOUND, DIP_BOUND, ARC_BOUND = RECHECK_BOUNDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,22 +180,19 @@ def _checks(
 ) -> tuple[list[Check], GyroSwing | None]:
     """Return the checks by a fit of the corrected field, and the swing of compass minus gyro."""
     old, is_fixed = calibration.correction, found.mode not in DRIVES
-    new = estimate.correction.after(old)
+    new, place = estimate.correction.after(old), (estimate.strength, estimate.inclination)
     corrected = found.nodes.field / MICROTESLA
     raw = old.undo(corrected)
-    by_old, by_none = (
-        heading_swing(new, each, calibration.strength, calibration.inclination)
-        for each in (old, Correction.identity())
-    )
+    by_old, by_none = (heading_swing(new, each, *place) for each in (old, Correction.identity()))
     chance = CHANGE.chance * calibration_sigma(estimate)
     if is_fixed:
         chance = math.hypot(chance, _distortion(estimate, corrected))
-    checks, swing = [check_beside_chance(SWING_BOUND, by_old, chance, by_none)], None
+    checks, swing = [compared(old, new, *place, chance, by_none)], None
     if estimate.swing is not None:
         swing = smoother.swing_of(found, corrected)
         left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
         checks.append(_check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed))
-    return [*checks, *_check_place(found, corrected, raw, calibration)], swing
+    return [*checks, *_check_place(found, new, estimate, calibration)], swing
 
 
 def _distortion(estimate: Estimate, field: FloatArray) -> float:
@@ -236,25 +218,19 @@ def _check_gyro(left: float, raw: float, is_fixed: bool) -> Check:
 
 
 def _check_place(
-    found: Smoothed, corrected: FloatArray, raw: FloatArray, calibration: Calibration
+    found: Smoothed, new: Correction, estimate: Estimate, calibration: Calibration
 ) -> Iterator[Check]:
-    """Yield the grades of mean strength and dip; both fields (n, 3) are those of the nodes."""
-    up, time = found.fit.state.attitude[:, :, 2], found.nodes.time
-    stretches = max(float(np.ptp(time)) / CHANGE.correlation_time, 1.0)
-    local = found.fit.local_field / MICROTESLA / calibration.strength / math.sqrt(stretches)
-    after, before = (_offsets(each, up, calibration) for each in (corrected, raw))
-    for bound, value, by_raw in zip((STRENGTH_BOUND, DIP_BOUND), after, before, strict=True):
-        yield check_beside_chance(bound, value, CHANGE.chance * local, by_raw)
-
-
-def _offsets(field: FloatArray, up: FloatArray, calibration: Calibration) -> tuple[float, float]:
-    """Return relative strength and dip (rad) of fields (n, 3) minus the calibrated ones."""
-    size, rise = np.linalg.norm(field, axis=1), np.sum(field * up, axis=1)
-    dip = -np.arcsin(np.clip(rise / np.maximum(size, 1e-12), -1.0, 1.0))
-    return (
-        abs(float(size.mean()) / calibration.strength - 1.0),
-        abs(float(dip.mean()) - calibration.inclination),
+    """Yield the grades of mean strength and dip."""
+    place = estimate.strength, estimate.inclination
+    local = local_chance(
+        found.fit.local_field / MICROTESLA / calibration.strength, float(np.ptp(found.nodes.time))
     )
+    by_old, by_none = (
+        place_offsets(each, new, *place, calibration)
+        for each in (calibration.correction, Correction.identity())
+    )
+    for bound, value, by_raw in zip((STRENGTH_BOUND, DIP_BOUND), by_old, by_none, strict=True):
+        yield check_beside_chance(bound, value, CHANGE.chance * local, by_raw)
 
 
 def _slopes_of(calibration: Calibration) -> str:

@@ -9,16 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle, wrapped
 from magcal_ros.core.heading.compass import Compass, CompassReading
-from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
 
@@ -27,9 +24,6 @@ class RecordedCourse:
     """Compass against course over a recording."""
 
     offset: CourseOffset
-    checks: tuple[Check, ...]
-    """Of the calibration; empty if too few courses were driven, or if it is not known whether the
-    course is the heading."""
     mounting: MountingYaw | None = None  # of the IMU, by its acceleration
     declination: float | None = None
     """Radians, positive east, of the place, a part of the offset; None if unknown."""
@@ -54,10 +48,6 @@ class RecordedCourse:
             "declination_deg": declination,
             "metres": round(found.metres),
             "courses": found.sectors,
-            "findings": [
-                {"figure": check.key, "state": check.grade.value, "words": check.words}
-                for check in self.checks
-            ],
         }
 
 
@@ -79,9 +69,7 @@ def recorded_course(
     course = estimator.fit_course()
     if course is None:
         return None
-    mounting = estimator.known_mounting
-    checks = () if mounting is None else check_by_course(course)
-    return RecordedCourse(course, checks, mounting, declination)
+    return RecordedCourse(course, estimator.known_mounting, declination)
 
 
 def _yaws(
@@ -138,39 +126,3 @@ def against_own_yaw(
         f"by {math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: this proves "
         "nothing, as the autopilot's yaw depends on its own compass and calibration"
     )
-
-
-SWING_ONCE = Bound(
-    Figure.COURSE_SWING_ONCE,
-    (None, 4.0, 8.0),
-    "compared with course, the heading error swings once per turn by",
-    "the calibration was made where the field was disturbed; calibrate in the open, away from "
-    "steel",
-)
-SWING_TWICE = Bound(
-    Figure.COURSE_SWING_TWICE,
-    (None, 4.0, 8.0),
-    "compared with course, the heading error swings twice per turn by",
-    "soft iron is missing; calibrate with turns on slopes, or give soft_iron_gains",
-)
-
-
-def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
-    """Grade a calibration by course; empty until enough courses were driven."""
-    if course is None or course.sectors < CHANGE.sectors:
-        return ()
-    checks = []
-    # A swing once per turn is hard iron, twice per turn soft iron.
-    for order, bound in ((1, SWING_ONCE), (2, SWING_TWICE)):
-        swing, sigmas = course.swing(order)
-        is_clear = sigmas > CHANGE.clearly
-        counts = swing if is_clear else 0.0
-        by_chance = "" if is_clear else ", within chance"
-        note = f" (± {math.degrees(swing / max(sigmas, 1e-9)):.1f}°{by_chance})"
-        checks.append(bound.check(swing, excess=counts, note=note))
-    return tuple(checks)
-
-
-def course_fault(checks: tuple[Check, ...]) -> str:
-    """Return the faults of the calibration in words; empty if there are none."""
-    return "; ".join(check.words for check in checks if check.grade.rank >= Grade.WARN.rank)

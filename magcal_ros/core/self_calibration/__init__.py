@@ -10,6 +10,7 @@ __getattr__, __dir__, __all__ = lazy_names(
         SELF_CALIBRATION difference reason_to_accept
     motor_learning: MotorLearning
     self_calibration: SelfCalibration
+    watch: Watch
     worker: examine_drive ratio_on_later_data
     """,
 )

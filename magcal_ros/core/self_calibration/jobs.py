@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
@@ -29,6 +30,7 @@ class SelfCalibrationTuning:
 
     look_every: float = 20.0  # seconds between two jobs
     look_again: float = 10.0  # the same while a changed hard iron is on probation
+    watch_every: float = 60.0  # the same if no calibration is sought
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
     """Seconds of driving to which all twelve numbers are fitted."""
     look_back: float = 240.0
@@ -82,6 +84,8 @@ class DriveCandidate:
     end: float
     """Clock at the start and the end of the data of the fit, seconds. For an earlier calibration
     both are the clock at which it was replaced."""
+    in_motion: Correction | None = None
+    """Of the moving robot, with the mean field of its motors; None if no motors were fitted."""
 
     @property
     def sigma(self) -> float:

@@ -31,18 +31,23 @@ from magcal_ros.core.self_calibration.jobs import (
     is_same,
     reason_to_accept,
 )
+from magcal_ros.core.self_calibration.watch import Watch
 
 EARLIER, ALL, IRON = CandidateKind
 REMEMBERED = 20  # decisions that are kept
 
 
 class SelfCalibration:
-    """Follows a drive and decides; `recorder` keeps the movement."""
+    """Follows a drive and decides; `recorder` keeps the movement.
+
+    In the mode `OFF` it only watches the calibration in force.
+    """
 
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
         self.proposal: Calibration | None = None  # waits for the user
         self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
+        self.watch = Watch()  # of the calibration in force
         self._in_force: Calibration | None = None
         self._before: Calibration | None = None  # in force before it
         self._contests: dict[CandidateKind, tuple[DriveCandidate, ...]] = {}
@@ -78,7 +83,7 @@ class SelfCalibration:
         """Forget the drive and its results: the sensors have changed, or the mode has."""
         self.recorder.begin_anew()
         self._contests.clear()
-        self.proposal = None
+        self.proposal, self.watch = None, Watch()
         self._changed = self._looked = -math.inf
         self._is_outdated = True
 
@@ -96,10 +101,11 @@ class SelfCalibration:
         decided = calibration is not None and is_same(calibration, wanted)
         earlier = self._contests.pop(EARLIER, None)
         self._contests.clear()
-        self._in_force, self.proposal = calibration, None
+        self._in_force, self.proposal, self.watch = calibration, None, Watch()
         self._is_outdated = True
         if not decided:
-            self._changed = -math.inf
+            # Before a turn of the user, the robot may have been another one.
+            self._changed = -math.inf if old is None else self.recorder.clock
         if old is None:
             return
         made = last.kind if decided and last is not None else None
@@ -121,15 +127,18 @@ class SelfCalibration:
 
         The speed is in m/s, NaN if unknown. Returns whether a job is due.
         """
-        if self.mode is Mode.OFF or not math.isfinite(sum(pair.imu.rate)):
+        is_needed = self.mode is not Mode.OFF or self._in_force is not None
+        if not is_needed or not math.isfinite(sum(pair.imu.rate)):
             return False
         if not self.recorder.add(pair, speed):
             return False
         if self._is_pending or self.recorder.seconds < SELF_CALIBRATION.look_every:
             return False
-        wait = (
-            SELF_CALIBRATION.look_again if IRON in self._contests else SELF_CALIBRATION.look_every
-        )
+        wait = SELF_CALIBRATION.look_every
+        if self.mode is Mode.OFF:
+            wait = SELF_CALIBRATION.watch_every
+        elif IRON in self._contests:
+            wait = SELF_CALIBRATION.look_again
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 
@@ -141,7 +150,10 @@ class SelfCalibration:
         in_force, windows = self._compared, SELF_CALIBRATION.windows
         if in_force is not None:
             # With a calibration in force, one window for each job is enough.
-            windows = windows[self._round % len(windows) :][:1]
+            since = max(self._changed, self.watch.since)
+            seconds = min(self.recorder.seconds, self.recorder.clock - since)
+            full = [each for each in windows if each <= seconds] or [windows[0]]
+            windows = (full[self._round % len(full)],)
         log, contests = self.recorder.log(), dict(self._contests)
         return DriveJob(log, knowledge, in_force, windows, self._changed, contests)
 
@@ -158,6 +170,12 @@ class SelfCalibration:
         is_current = self._is_pending and not self._is_outdated
         self._is_pending, self.lost = False, 0
         if not is_current:
+            return []
+        if self._in_force is not None:
+            since = findings.since_change
+            fits = [*findings.candidates, *([] if since is None else [since])]
+            self.watch = self.watch.after(fits, self._in_force, findings.clock)
+        if self.mode is Mode.OFF:
             return []
         made = self._weigh(findings)
         if not math.isnan(self.recorder.start):

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.assessment.bounds import SIGMA
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.errors import Refusal
@@ -150,4 +150,6 @@ def candidate_of(
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
     evidence = calibration.evidence.made_with(reference)
     calibration = replace(calibration, evidence=evidence)
-    return DriveCandidate(kind, calibration, start, end)
+    found, by_motion = posterior.correction, posterior.numbers[PARAMETERS : PARAMETERS + 3]
+    in_motion = replace(found, hard_iron=found.hard_iron + by_motion)
+    return DriveCandidate(kind, calibration, start, end, in_motion)

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from magcal_ros.core.driving import CourseOffset, MountingYaw
@@ -18,8 +17,7 @@ def mounting(yaw_deg, sigma_deg=0.5):
 
 
 def course(offset_deg, sigma_deg=1.0):
-    covariance = np.eye(5) * (sigma_deg * DEGREE) ** 2
-    return CourseOffset(offset_deg * DEGREE, sigma_deg * DEGREE, np.zeros(4), covariance, 900.0, 8)
+    return CourseOffset(offset_deg * DEGREE, sigma_deg * DEGREE, 900.0, 8)
 
 
 def test_a_rotated_imu_shows_in_both_and_they_are_weighted():

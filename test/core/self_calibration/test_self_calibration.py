@@ -458,7 +458,7 @@ def test_a_robot_at_rest_beside_a_car_starts_no_job():
     assert machine.recorder.seconds < 10.0
 
 
-def test_nothing_is_recorded_if_self_calibration_is_off():
+def test_nothing_is_recorded_if_self_calibration_is_off_and_nothing_is_in_force():
     machine = SelfCalibration(Mode.OFF)
     assert follow(driven(3, city(np.random.default_rng(3), 60.0)), machine) == []
     assert machine.recorder.seconds == 0.0

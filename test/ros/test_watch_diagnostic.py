@@ -1,4 +1,4 @@
-"""The monitor's result is in diagnostics and status until a new calibration."""
+"""What the drive says about a calibration is in diagnostics and status until another one."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 
-from magcal_ros.core.monitoring import MonitorResult
+from magcal_ros.core.self_calibration import Watch
 
 
 @pytest.fixture
@@ -36,12 +36,15 @@ def test_a_stale_calibration_is_reported_until_a_new_one(scene, ros_home):
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
     assert stated().level == DiagnosticStatus.OK
-    robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._samples) > 3)
-    assert len(node._first.monitor._samples) > 3, "field messages reach the watch"
-    node._first.monitor.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
-    wait_for("has not held for about 4 min")
+    machine = node._self_calibration.machine
+    robot.run(PATIENCE, 0.5, lambda: machine._in_force is not None)
+    machine.watch = dataclasses.replace(Watch(), is_stale=True, since=0.0, clock=240.0)
+    wait_for("has not held for about 4 min of driving")
     assert stated().level == DiagnosticStatus.WARN
     robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])
+    assert robot.answer(robot.call("load")).success
+    wait_for("has not held")
+    store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml", iron=1e-6)
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
     assert stated().level == DiagnosticStatus.OK

@@ -1,0 +1,126 @@
+"""Whether the calibration in force holds while the robot drives.
+
+The fits to the last minutes are compared with the calibration, as `check` compares the fit of a
+recording. Because many fits are made, chance may be larger here, and the state changes only after
+two conclusive results in a row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from magcal_ros.core.assessment.grading import Check, Grade
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.monitoring.change import (
+    CHANGE,
+    DIP_BOUND,
+    STRENGTH_BOUND,
+    check_beside_chance,
+    compared,
+    local_chance,
+    place_offsets,
+)
+from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate
+
+NOTHING_YET = "the robot has not driven with a gyro yet"
+TOO_UNCERTAIN = "there are too few headings to judge it"
+AGAIN = "calibrate again"
+UNCONFIRMED = "a second fit must confirm a change"
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What the last minutes of driving say about the calibration in force."""
+
+    is_stale: bool = False  # whether the calibration no longer holds
+    was_judged: bool = False  # whether it could be judged at all since it is in force
+    findings: tuple[Check, ...] = ()  # the checks by which the state was last decided
+    missing: str = NOTHING_YET  # the missing data; empty if the last minutes were judged
+    since: float = -math.inf  # clock from which fits contradict it, seconds of movement
+    contradicted_at: float = -math.inf  # clock of the end of the last fit that does
+    clock: float = math.nan  # of the last fits, seconds of movement
+
+    def after(self, fits: Sequence[DriveCandidate], old: Calibration, clock: float) -> Watch:
+        """Return the state after fits to data since the calibration `old` is in force.
+
+        `clock` is that of the newest data, seconds of movement.
+        """
+        known = replace(self, clock=clock, missing=TOO_UNCERTAIN)
+        checks = [tuple(_checks(fit, old)) for fit in fits]
+        against = [k for k, found in enumerate(checks) if any(map(_contradicts, found))]
+        # A fit of the hard iron alone shows no other change. Data from before a change dilute it.
+        agreeing = [
+            k
+            for k, fit in enumerate(fits)
+            if fit.kind is CandidateKind.ALL
+            and fit.start >= self.contradicted_at
+            and checks[k][0].is_judged
+        ]
+        conclusive = against or agreeing
+        if not conclusive:
+            return known
+        best = min(conclusive, key=lambda k: (fits[k].kind is CandidateKind.IRON, fits[k].sigma))
+        if not against:
+            return Watch(was_judged=True, findings=checks[best], missing="", clock=clock)
+        is_first = math.isinf(self.contradicted_at)
+        known = replace(known, contradicted_at=clock)
+        if is_first:
+            return replace(known, since=max(fits[k].start for k in against), missing=UNCONFIRMED)
+        return replace(known, is_stale=True, was_judged=True, findings=checks[best], missing="")
+
+    @property
+    def summary(self) -> str:
+        """One or two sentences."""
+        if self.is_stale:
+            against = [each for each in self.findings if _contradicts(each)]
+            by_swing = [each for each in against if each.figure is Figure.HEADING_SWING]
+            # A change that turns the headings usually changes strength and dip, too.
+            causes = "; ".join(each.words for each in by_swing or against)
+            minutes = max((self.clock - self.since) / 60.0, 1.0)
+            since = f"for about {minutes:.0f} min of driving"
+            return f"The calibration has not held {since}: {causes}; {AGAIN}."
+        if not self.was_judged:
+            return f"Not judged yet: {self.missing}."
+        if self.missing:
+            return f"The calibration held when it was last judged; now {self.missing}."
+        return "The calibration holds on the headings of the last minutes."
+
+
+def _checks(fit: DriveCandidate, old: Calibration) -> Iterator[Check]:
+    """Yield the checks of the calibration in force by a fit: heading, strength and dip.
+
+    A field that is there only at rest, or only in motion, is of a place or of motors: the smaller
+    figure of the two counts. A fit of the hard iron alone does not show a change of place.
+    """
+    new = fit.calibration
+    chance = CHANGE.clearly * math.hypot(fit.sigma, calibration_sigma(old))
+    size = new.evidence.figure(Figure.LOCAL_FIELD, 0.0) / old.strength
+    local = CHANGE.clearly * local_chance(size, fit.seconds)
+    found = [_of(new.correction, new, old, chance, local)]
+    if fit.in_motion is not None:
+        found.append(_of(fit.in_motion, new, old, chance, local))
+    shown = 1 if fit.kind is CandidateKind.IRON else None
+    for each in list(zip(*found, strict=True))[:shown]:
+        yield min(each, key=lambda check: check.value or 0.0)
+
+
+def _of(
+    correction: Correction, new: Calibration, old: Calibration, chance: float, local: float
+) -> tuple[Check, ...]:
+    """Return the checks by a correction in the place of the new calibration."""
+    place = new.strength, new.inclination
+    offsets = place_offsets(old.correction, correction, *place, old)
+    bounds = zip((STRENGTH_BOUND, DIP_BOUND), offsets, strict=True)
+    return (
+        compared(old.correction, correction, *place, chance),
+        *(check_beside_chance(bound, value, local) for bound, value in bounds),
+    )
+
+
+def _contradicts(finding: Check) -> bool:
+    return finding.is_judged and finding.grade.rank >= Grade.WARN.rank
