@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from simulated.drive import Vehicle, simulated_drive
+from simulated.drive import Iron, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 from simulated.turns import measure, turn
@@ -17,7 +17,7 @@ from test_travel import Car
 from magcal_ros.core import calibrate
 from magcal_ros.core.self_calibration import Decision, DecisionKind, DriveResult
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files import backup_files, read_calibration
+from magcal_ros.files import Origin, backup_files, read_calibration, write_calibration
 from magcal_ros.ros.status import watch_diagnostic
 from magcal_ros.ros.worker_process import WorkerStopped
 
@@ -130,4 +130,26 @@ def test_a_drive_puts_a_calibration_in_force(start_node, tmp_path):
     page = next(tmp_path.glob("reports/*/report.html")).read_text()
     assert "<circle" in page
     assert "put in force" in page
+    car.node.destroy_node()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("added", [0.0, 12e-6])
+def test_a_drive_shows_whether_the_calibration_holds(start_node, tmp_path, added):
+    rng = np.random.default_rng(2)
+    robot = Robot(strength=48e-6, inclination=np.radians(65.0), noise_force=0.05, noise_rate=2e-3)
+    irons = (Iron((added, 0.0, 0.0), 150.0),) if added else ()
+    way = travel(city(rng, 400.0), rng, rate=25.0)
+    drive = simulated_drive(way, rng, Vehicle(robot), irons=irons)
+    known = calibrate(measure(robot, turn(), rng), robot.knowledge()).calibration
+    path = tmp_path / "calibration.yaml"
+    write_calibration(path, known, Origin.now("mag_link", "imu_link"))
+    car = Car(start_node({**REFERENCE, "calibration_file": str(path)}))
+    car.run(PATIENCE, stop=lambda: car.status.get("calibration"))
+    car.drive(drive.samples())
+    words = "has not held" if added else "holds on the headings"
+    car.run(PATIENCE, stop=lambda: words in car.status["watch"]["summary"])
+    assert words in car.status["watch"]["summary"]
+    assert car.status["watch"]["stale"] == bool(added)
+    assert "heading_swing" in car.status["watch"]["findings"]
     car.node.destroy_node()
