@@ -221,3 +221,4 @@ class DriveResult:
     since_change: DriveCandidate | None = None  # the hard iron since a suspected change
     ratios: Mapping[CandidateKind, LikelihoodRatio] = field(default_factory=dict)
     """Of the contests, on the data that count."""
+    refusal: str = ""  # why no fit of all twelve numbers was made; empty if one was made, or is due

@@ -172,9 +172,7 @@ class SelfCalibration:
         if not is_current:
             return []
         if self._in_force is not None:
-            since = findings.since_change
-            fits = [*findings.candidates, *([] if since is None else [since])]
-            self.watch = self.watch.after(fits, self._in_force, findings.clock)
+            self.watch = self.watch.after(findings, self._in_force)
         if self.mode is Mode.OFF:
             return []
         made = self._weigh(findings)

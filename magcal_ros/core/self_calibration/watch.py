@@ -8,7 +8,7 @@ two conclusive results in a row.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from magcal_ros.core.assessment.grading import Check, Grade
@@ -25,7 +25,7 @@ from magcal_ros.core.monitoring.change import (
     local_chance,
     place_offsets,
 )
-from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate
+from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate, DriveResult
 
 NOTHING_YET = "the robot has not driven with a gyro yet"
 TOO_UNCERTAIN = "there are too few headings to judge it"
@@ -45,14 +45,13 @@ class Watch:
     contradicted_at: float = -math.inf  # clock of the end of the last fit that does
     clock: float = math.nan  # of the last fits, seconds of movement
 
-    def after(self, fits: Sequence[DriveCandidate], old: Calibration, clock: float) -> Watch:
-        """Return the state after fits to data since the calibration `old` is in force.
-
-        `clock` is that of the newest data, seconds of movement.
-        """
-        known = replace(self, clock=clock, missing=TOO_UNCERTAIN)
+    def after(self, found: DriveResult, old: Calibration) -> Watch:
+        """Return the state after a job; `old` is in force since the beginning of its data."""
+        fits, clock = list(found.candidates), found.clock
+        fits += [] if found.since_change is None else [found.since_change]
+        known = replace(self, clock=clock, missing=found.refusal or TOO_UNCERTAIN)
         checks = [tuple(_checks(fit, old)) for fit in fits]
-        against = [k for k, found in enumerate(checks) if any(map(_contradicts, found))]
+        against = [k for k, each in enumerate(checks) if any(map(_contradicts, each))]
         # A fit of the hard iron alone shows no other change. Data from before a change dilute it.
         agreeing = [
             k

@@ -36,17 +36,21 @@ def examine_drive(job: DriveJob) -> DriveResult:
     first = max(float(nodes.time[0]) - 5.0, job.changed)
     if since_change is not None:
         first = max(first, since_change.start)
-    found = [
-        _iron_since_known(nodes, job, clock),
-        *(_all_twelve(nodes, job, clock - s, clock) for s in job.windows if clock - s >= first),
-    ]
-    candidates = tuple(each for each in found if each is not None)
+    iron, refusal = _iron_since_known(nodes, job, clock), ""
+    candidates = [] if iron is None else [iron]
+    for seconds in job.windows:
+        if clock - seconds < first:
+            continue
+        try:
+            candidates.append(_all_twelve(nodes, job, clock - seconds, clock))
+        except Refusal as why:
+            refusal = str(why)
     ratios = {
         kind: ratio_on_later_data(nodes, job.in_force.correction, fits, job.knowledge)
         for kind, fits in job.contests.items()
         if job.in_force is not None
     }
-    return DriveResult(clock, candidates, since_change, ratios)
+    return DriveResult(clock, tuple(candidates), since_change, ratios, refusal)
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
@@ -70,11 +74,8 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
     return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
 
 
-def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
-    try:
-        fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
-    except Refusal:
-        return None
+def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate:
+    fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
     return candidate_of(fitted, CandidateKind.ALL, job, start, end)
 
 

@@ -29,7 +29,7 @@ def watched(*fits, in_force=None, state=None):
     """The state after fits, each in a job of its own."""
     state = Watch() if state is None else state
     for fit in fits:
-        state = state.after([fit], in_force or calibration(), fit.end)
+        state = state.after(findings(fit.end, fit), in_force or calibration())
     return state
 
 
@@ -54,10 +54,16 @@ def test_nothing_is_judged_without_a_conclusive_fit():
     assert not vague.was_judged
 
 
+def test_a_refusal_of_the_fits_is_told():
+    result = replace(findings(120.0), refusal="an axis of the gyro never changes")
+    state = Watch().after(result, calibration())
+    assert state.summary == "Not judged yet: an axis of the gyro never changes."
+
+
 def test_a_right_calibration_holds():
     state = watched(candidate(RIGHT, 120.0))
     assert state.summary == "The calibration holds on the headings of the last minutes."
-    later = state.after([], calibration(), 180.0)
+    later = state.after(findings(180.0), calibration())
     assert later.summary.startswith("The calibration held when it was last judged; now there are")
 
 
@@ -100,7 +106,7 @@ def test_a_fit_of_all_numbers_names_the_cause_rather_than_one_of_hard_iron():
     iron = candidate(FAR, 120.0, CandidateKind.IRON, sigma=math.radians(0.4))
     state = Watch()
     for _ in range(2):
-        state = state.after([iron, everything], calibration(), 120.0)
+        state = state.after(findings(120.0, everything, since=iron), calibration())
     assert "the mounting has changed" in state.summary
 
 
