@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window, working_axes
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     DIFFERENT_TURNS,
@@ -38,11 +38,8 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     UNKNOWNS,
 )
+from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
-SILENT_AXES = (
-    "an axis of the gyro never changes, and self-calibration needs all three; calibrate with "
-    "~/calibrate while you drive, or turn once on the spot between two rests"
-)
 FEWEST = 16  # nodes of the shortest drive that is fitted
 FIXED = 0.01  # prior spread of the logarithm of a size that is held fixed
 TOLERANCES = Tolerances(rounds=60, step=0.2)
@@ -112,9 +109,8 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     `NO_SOLUTION` if no fit converges, `AXES_DISAGREE` if the gyro or the axes are wrong.
     """
     check_length(nodes)
-    if not all(working_axes(log.angular_rate)):
-        raise Refusal(Reason.AXES_DISAGREE, SILENT_AXES)
-    state, about = start(nodes, priors_of(knowledge, log.bias_sigma))
+    priors = with_dead_axes(priors_of(knowledge, log.bias_sigma), nodes.working)
+    state, about = start(nodes, priors)
     try:
         found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError as fault:
@@ -157,13 +153,15 @@ def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> No
     return replace(nodes, field=MICROTESLA * correction.apply(raw))
 
 
-def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False) -> Priors:
+def held_priors(
+    nodes: Nodes, knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False
+) -> Priors:
     """Return the priors for a field corrected with a calibration that is held fixed.
 
     `iron` (3,) is the sigma of the remaining hard iron, µT. `may_change` allows small changes of
-    installation and soft iron.
+    installation and soft iron. The nodes are those that will be fitted.
     """
-    priors = priors_of(knowledge)
+    priors = with_dead_axes(priors_of(knowledge), nodes.working)
     scale = priors.scale.copy()
     for name in HELD:
         scale[AT[name]] = 0.0
@@ -202,7 +200,7 @@ def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> Driv
         return None
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     free = np.array(UNKNOWNS["added"].sigma)
-    found = held_fit(inside, held_priors(knowledge, free, may_change=True))
+    found = held_fit(inside, held_priors(inside, knowledge, free, may_change=True))
     return None if found is None else added_to(correction, found, AT["iron"])
 
 
@@ -277,7 +275,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
     The nodes are corrected by the old and by the new calibration, and both calibrations are held.
     The ratio is empty if one of the two fits fails.
     """
-    priors = held_priors(knowledge, np.zeros(3))
+    priors = held_priors(old, knowledge, np.zeros(3))
     fits = [held_fit(each, priors) for each in (old, new)]
     known = [each for each in fits if each is not None]
     if len(known) < len(fits):

@@ -62,7 +62,7 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     own = correction.matrix @ calibration.covariance[9:, 9:] @ correction.matrix.T
     known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), CONSTANT_ERROR)
-    priors = held_priors(knowledge, known)
+    priors = held_priors(inside, knowledge, known)
     same = held_fit(inside, priors)
     if same is None:
         return None

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window, working_axes
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import (
     Fit,
@@ -113,13 +113,12 @@ class _MotionFits:
     @property
     def gyro_is_whole(self) -> bool:
         """Whether no axis of the gyro is silent."""
-        return all(working_axes(self._samples.angular_rate))
+        return all(self.nodes.working)
 
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
-        lives = working_axes(samples.angular_rate)
-        priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
+        priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), self.nodes.working)
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
 

@@ -12,7 +12,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, blo
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import AttachedRest
 from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced
-from magcal_ros.core.samples.window import Window, white_noise
+from magcal_ros.core.samples.window import Window, white_noise, working_axes
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.rests import rests
@@ -70,6 +70,7 @@ class Nodes:
     """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
     estimated from the field, and used only for averaging. Shape (3, 3)."""
     currents: Currents | None = None  # of the battery; None if it was not measured
+    working: tuple[bool, bool, bool] = (True, True, True)  # which axes of the gyro measure
 
     def __len__(self) -> int:
         return len(self.time)
@@ -184,6 +185,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         block_means(window.specific_force, first),
         None if window.wheel_speed is None else block_means(window.wheel_speed, first),
         currents=_currents(window, first, quiet),
+        working=working_axes(rate),
     )
     nodes = _without_lost_links(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)

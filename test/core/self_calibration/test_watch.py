@@ -187,10 +187,12 @@ class TestInTheMachine:
         machine.put_in_force(calibration(FAR))
         assert machine.job(BOSTON).changed == machine.recorder.clock > 0.0
 
-    @pytest.mark.parametrize("added", [0.0, 10e-6])
-    def test_a_drive_without_self_calibration_is_watched(self, added):
+    @pytest.mark.parametrize(("added", "gyro"), [(0.0, 1.0), (10e-6, 1.0), (10e-6, 0.0)])
+    def test_a_drive_without_self_calibration_is_watched(self, added, gyro):
+        """The last case has a gyro that measures about z alone."""
         irons = (Iron((added, 0.0, 0.0), 60.0),) if added else ()
         drive = driven(5, city(np.random.default_rng(5), 330.0), irons=irons)
+        drive = replace(drive, rate=drive.rate * [gyro, gyro, 1.0])
         machine = SelfCalibration(Mode.OFF)
         machine.put_in_force(calibration())
         assert follow(drive, machine) == []

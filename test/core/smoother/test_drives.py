@@ -258,6 +258,18 @@ def test_slow_driving_in_a_street_has_a_correct_sigma():
     assert stated > 1.0
 
 
+@pytest.mark.parametrize("seed", first_of([403200, 403201, 403202]))
+def test_a_gyro_that_measures_about_z_alone_is_enough(seed):
+    drive = driven(seed, legs=city(np.random.default_rng(seed), 240.0))
+    about_z = drive.rate * [0.0, 0.0, 1.0]
+    found = fit_of(log_of(Window(drive.time, drive.field, drive.force, about_z)), BOSTON)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    stated = math.degrees(found.posterior.heading_sigma)
+    assert found.fit.model.nodes.working == (False, False, True)
+    assert error < 2.5 * stated
+    assert stated < 4.0
+
+
 @pytest.mark.parametrize("seed", [183101, 183104])
 def test_small_circles_are_fitted_within_their_sigma(seed):
     """Each round passes the same covers and parked cars."""
