@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
@@ -27,7 +28,7 @@ from magcal_ros.core.smoother.drives import (
 )
 from magcal_ros.core.smoother.factors import magnetic, turned_by
 from magcal_ros.core.smoother.fit import Fit, fit
-from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT
+from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, mixture
 from magcal_ros.core.smoother.model import path_between, solve_at
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
@@ -85,7 +86,23 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
             least = min(least, other.evidence - 2.0 * (math.log(STEEL_ODDS) - way / STEEL_LENGTH))
     since = float(0.5 * (inside.time[node] + inside.time[node + 1]))
     gain = EVIDENCE_WEIGHT * (least - best.evidence)
-    return IronChange(since, gain, added_to(correction, best, AT["added"]))
+    return IronChange(since, gain, _of_all_moments(correction, fits, best))
+
+
+def _of_all_moments(correction: Correction, fits: list[Fit], best: Fit) -> DriveFit:
+    """Return the best fit with the posterior of all, weighted by evidence.
+
+    If the iron was added late in a node, the fit with the node before it is nearly as likely, and
+    takes the mean field of the node for that after the change.
+    """
+    found = {str(k): added_to(correction, each, AT["added"]) for k, each in enumerate(fits)}
+    odds = {
+        name: math.exp(-EVIDENCE_WEIGHT * min(each.fit.evidence - best.evidence, 700.0))
+        for name, each in found.items()
+    }
+    weights = {name: value / sum(odds.values()) for name, value in odds.items()}
+    posteriors = {name: each.posterior for name, each in found.items()}
+    return DriveFit(best, mixture(posteriors, weights, str(fits.index(best))))
 
 
 def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:

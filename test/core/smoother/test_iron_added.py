@@ -13,7 +13,7 @@ from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
 from magcal_ros.core.samples import DriveRecorder, FieldSample, ImuSample, Pair
 from magcal_ros.core.self_calibration import SELF_CALIBRATION
-from magcal_ros.core.smoother import drive_nodes, find_change
+from magcal_ros.core.smoother import drive_nodes, find_change, iron_added
 
 NOBODY = np.eye(3)
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
@@ -54,6 +54,16 @@ def test_iron_added_half_a_minute_ago_is_found_with_its_time(seed):
     assert heading_error(in_force(drive).correction, with_iron) > 10.0
     left = heading_error(found.fit.posterior.correction, with_iron)
     assert left < min(6.0, 3.0 * math.degrees(found.fit.posterior.heading_sigma))
+
+
+def test_an_uncertain_moment_enlarges_the_sigma(monkeypatch):
+    """If no moment is likelier than another, the posterior covers the fits of all."""
+    drive = driven(4, CAME + 30.0, irons=(Iron((8e-6, -6e-6, 0.0), CAME),))
+    by_evidence = changed(drive).fit.posterior
+    monkeypatch.setattr(iron_added, "EVIDENCE_WEIGHT", 0.0)
+    by_all = changed(drive).fit.posterior
+    assert by_all.heading_sigma > by_evidence.heading_sigma
+    assert by_all.distance_to(by_evidence) < 2.0 * by_all.heading_sigma
 
 
 @pytest.mark.parametrize("seed", first_of([4, 7]))
