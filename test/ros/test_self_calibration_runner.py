@@ -134,8 +134,8 @@ def test_a_drive_puts_a_calibration_in_force(start_node, tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("added", [0.0, 12e-6])
-def test_a_drive_shows_whether_the_calibration_holds(start_node, tmp_path, added):
+@pytest.mark.parametrize(("added", "mode"), [(0.0, "propose"), (12e-6, "propose"), (12e-6, "off")])
+def test_a_drive_shows_whether_the_calibration_holds(start_node, tmp_path, added, mode):
     rng = np.random.default_rng(2)
     robot = Robot(strength=48e-6, inclination=np.radians(65.0), noise_force=0.05, noise_rate=2e-3)
     irons = (Iron((added, 0.0, 0.0), 150.0),) if added else ()
@@ -144,7 +144,8 @@ def test_a_drive_shows_whether_the_calibration_holds(start_node, tmp_path, added
     known = calibrate(measure(robot, turn(), rng), robot.knowledge()).calibration
     path = tmp_path / "calibration.yaml"
     write_calibration(path, known, Origin.now("mag_link", "imu_link"))
-    car = Car(start_node({**REFERENCE, "calibration_file": str(path)}))
+    chosen = {"calibration_file": str(path), "self_calibration": mode}
+    car = Car(start_node({**REFERENCE, **chosen}))
     car.run(PATIENCE, stop=lambda: car.status.get("calibration"))
     car.drive(drive.samples())
     words = "has not held" if added else "holds on the headings"
