@@ -187,7 +187,10 @@ class TestInTheMachine:
         machine.put_in_force(calibration(FAR))
         assert machine.job(BOSTON).changed == machine.recorder.clock > 0.0
 
-    @pytest.mark.parametrize(("added", "gyro"), [(0.0, 1.0), (10e-6, 1.0), (10e-6, 0.0)])
+    @pytest.mark.parametrize(
+        ("added", "gyro"),
+        [(0.0, 1.0), (10e-6, 1.0), pytest.param(10e-6, 0.0, marks=pytest.mark.nightly)],
+    )
     def test_a_drive_without_self_calibration_is_watched(self, added, gyro):
         """The last case has a gyro that measures about z alone."""
         irons = (Iron((added, 0.0, 0.0), 60.0),) if added else ()
