@@ -193,8 +193,8 @@ class TestInTheMachine:
     )
     def test_a_drive_without_self_calibration_is_watched(self, added, gyro):
         """The last case has a gyro that measures about z alone."""
-        irons = (Iron((added, 0.0, 0.0), 60.0),) if added else ()
-        drive = driven(5, city(np.random.default_rng(5), 330.0), irons=irons)
+        irons = (Iron((added, 0.0, 0.0), 40.0),) if added else ()
+        drive = driven(5, city(np.random.default_rng(5), 255.0), irons=irons)
         drive = replace(drive, rate=drive.rate * [gyro, gyro, 1.0])
         machine = SelfCalibration(Mode.OFF)
         machine.put_in_force(calibration())
