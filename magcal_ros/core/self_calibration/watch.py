@@ -28,7 +28,7 @@ from magcal_ros.core.monitoring.change import (
 from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate, DriveResult
 
 NOTHING_YET = "the robot has not driven with a gyro yet"
-TOO_UNCERTAIN = "there are too few headings to judge it"
+TOO_UNCERTAIN = "there was too little driving over different headings"
 AGAIN = "calibrate again"
 UNCONFIRMED = "a second fit must confirm a change"
 

@@ -50,7 +50,7 @@ def at_place(end, **place):
 def test_nothing_is_judged_without_a_conclusive_fit():
     assert Watch().summary == "Not judged yet: the robot has not driven with a gyro yet."
     vague = watched(candidate(FAR, 120.0, sigma=math.radians(9.0)))
-    assert vague.summary == "Not judged yet: there are too few headings to judge it."
+    assert vague.summary == "Not judged yet: there was too little driving over different headings."
     assert not vague.was_judged
 
 
@@ -64,7 +64,7 @@ def test_a_right_calibration_holds():
     state = watched(candidate(RIGHT, 120.0))
     assert state.summary == "The calibration holds on the headings of the last minutes."
     later = state.after(findings(180.0), calibration())
-    assert later.summary.startswith("The calibration held when it was last judged; now there are")
+    assert later.summary.startswith("The calibration held when it was last judged; now there was")
 
 
 def test_two_fits_must_contradict_it():
