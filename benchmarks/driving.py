@@ -256,7 +256,7 @@ def directions(drive: Drive) -> tuple[int, int]:
 def recorded(folder: Path) -> None:
     """Print the results of recorded cars: heading with and without their fixes, beta, o."""
     show(("recording", "heading RMS without speed", "with", "beta", "-o"))
-    show(("---",) * 6)
+    show(("---",) * 5)
     for name, turned in CARS.items():
         if not (folder / name).is_dir() or not (folder / turned).is_dir():
             continue

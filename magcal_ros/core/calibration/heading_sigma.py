@@ -110,18 +110,20 @@ def heading_differences(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
     """Return the yaw by another correction minus that by the right one, (24,) level headings."""
-    up, field = corrected_on_level(right, right, strength, inclination)
-    _, seen = corrected_on_level(other, right, strength, inclination)
+    up, field, seen = fields_on_level(right, other, strength, inclination)
     return wrap_angle(yaw_from_up_and_field(up, seen) - yaw_from_up_and_field(up, field))
 
 
-def corrected_on_level(
-    other: Correction, right: Correction, strength: float, inclination: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return up and the field by another correction, both (24, 3) at level headings, body axes."""
+def fields_on_level(
+    right: Correction, other: Correction, strength: float, inclination: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return up, and the fields by the right and by another correction, at level headings.
+
+    Each has the shape (24, 3), in body axes.
+    """
     poses = _all_headings()
     field = poses @ field_in_enu(strength, inclination)
-    return poses[:, :, 2], other.apply(right.undo(field))
+    return poses[:, :, 2], field, other.apply(right.undo(field))
 
 
 def rms_heading_difference(

@@ -11,7 +11,7 @@ from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import corrected_on_level, heading_swing
+from magcal_ros.core.calibration.heading_sigma import fields_on_level, heading_swing
 
 
 @dataclass(frozen=True)
@@ -83,15 +83,33 @@ def compared(
     return check_beside_chance(bound, heading_swing(new, old, *place), chance, before)
 
 
-def place_offsets(
+def check_place(
+    old: Calibration, new: Correction, strength: float, inclination: float, chance: float
+) -> tuple[Check, Check]:
+    """Grade mean strength and dip of the field that an old calibration corrects.
+
+    `chance` is the largest relative difference by chance. The other parameters are as for
+    `compared`.
+    """
+    by_old, by_none = (
+        _offsets(each, new, strength, inclination, old)
+        for each in (old.correction, Correction.identity())
+    )
+    strength_check, dip_check = (
+        check_beside_chance(bound, value, chance, raw)
+        for bound, value, raw in zip((STRENGTH_BOUND, DIP_BOUND), by_old, by_none, strict=True)
+    )
+    return strength_check, dip_check
+
+
+def _offsets(
     seen: Correction, new: Correction, strength: float, inclination: float, old: Calibration
 ) -> tuple[float, float]:
-    """Return relative strength and dip (rad) of the corrected field minus those of a calibration.
+    """Return relative strength and dip (rad) of a field minus those of a calibration, no sign.
 
-    They are means over level headings of the field that `seen` makes, without a sign. The other
-    parameters are as for `compared`.
+    They are means over level headings of the field that `seen` makes.
     """
-    up, field = corrected_on_level(seen, new, strength, inclination)
+    up, _, field = fields_on_level(new, seen, strength, inclination)
     size = np.linalg.norm(field, axis=1)
     dip = -np.arcsin(np.clip(np.sum(field * up, axis=1) / np.maximum(size, 1e-12), -1.0, 1.0))
     return (

@@ -8,7 +8,6 @@ the cause, and its covariance shows how certain this is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,10 +39,9 @@ from magcal_ros.core.monitoring.change import (
     OTHER_ROBOT,
     STRENGTH_BOUND,
     SWING_BOUND,
-    check_beside_chance,
+    check_place,
     compared,
     local_chance,
-    place_offsets,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
@@ -192,7 +190,9 @@ def _checks(
         swing = smoother.swing_of(found, corrected)
         left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
         checks.append(_check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed))
-    return [*checks, *_check_place(found, new, estimate, calibration)], swing
+    size = found.fit.local_field / MICROTESLA / calibration.strength
+    local = CHANGE.chance * local_chance(size, float(np.ptp(found.nodes.time)))
+    return [*checks, *check_place(calibration, new, *place, local)], swing
 
 
 def _distortion(estimate: Estimate, field: FloatArray) -> float:
@@ -215,22 +215,6 @@ def _check_gyro(left: float, raw: float, is_fixed: bool) -> Check:
     if graded.grade.rank < Grade.WARN.rank:
         return graded
     return replace(graded, grade=Grade.WARN, is_judged=False)
-
-
-def _check_place(
-    found: Smoothed, new: Correction, estimate: Estimate, calibration: Calibration
-) -> Iterator[Check]:
-    """Yield the grades of mean strength and dip."""
-    place = estimate.strength, estimate.inclination
-    local = local_chance(
-        found.fit.local_field / MICROTESLA / calibration.strength, float(np.ptp(found.nodes.time))
-    )
-    by_old, by_none = (
-        place_offsets(each, new, *place, calibration)
-        for each in (calibration.correction, Correction.identity())
-    )
-    for bound, value, by_raw in zip((STRENGTH_BOUND, DIP_BOUND), by_old, by_none, strict=True):
-        yield check_beside_chance(bound, value, CHANGE.chance * local, by_raw)
 
 
 def _slopes_of(calibration: Calibration) -> str:

@@ -104,7 +104,7 @@ class SelfCalibration:
         self._in_force, self.proposal, self.watch = calibration, None, Watch()
         self._is_outdated = True
         if not decided:
-            # Before a turn of the user, the robot may have been another one.
+            # Before a calibration by the user, iron may have been added or moved.
             self._changed = -math.inf if old is None else self.recorder.clock
         if old is None:
             return

@@ -18,12 +18,9 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.monitoring.change import (
     CHANGE,
-    DIP_BOUND,
-    STRENGTH_BOUND,
-    check_beside_chance,
+    check_place,
     compared,
     local_chance,
-    place_offsets,
 )
 from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate, DriveResult
 
@@ -113,11 +110,9 @@ def _of(
 ) -> tuple[Check, ...]:
     """Return the checks by a correction in the place of the new calibration."""
     place = new.strength, new.inclination
-    offsets = place_offsets(old.correction, correction, *place, old)
-    bounds = zip((STRENGTH_BOUND, DIP_BOUND), offsets, strict=True)
     return (
         compared(old.correction, correction, *place, chance),
-        *(check_beside_chance(bound, value, local) for bound, value in bounds),
+        *check_place(old, correction, *place, local),
     )
 
 
