@@ -1,8 +1,8 @@
 """Results of drives, simulated and recorded: up, the front of the vehicle, the compass by course.
 
-Run it as `python benchmarks/driving.py [drives] [recordings]`. Each row of the simulated table is
-over so many fresh drives (20 unless given); the folder with the recordings is
-`../shared/recordings` unless given. NEES is the squared error over the said variance.
+Run it as `python benchmarks/driving.py [drives] [recordings] [seed]`. Each row of the simulated
+table is over so many drives (20 unless given) from a seed on (0 unless given); the folder with the
+recordings is `../shared/recordings` unless given. NEES is the squared error over the said variance.
 """
 
 from __future__ import annotations
@@ -125,14 +125,14 @@ def tilt_errors(drive: Drive, seen: FollowedDrive) -> FloatArray:
     return np.asarray(np.degrees(np.arccos(across)))
 
 
-def simulated(drives: int) -> None:
+def simulated(drives: int, seed: int) -> None:
     """Print up, mounting and course over fresh drives of 2, 4 and 8 minutes."""
     show(("speed from", "minutes", "up p50 / p90 / p99", "heading RMS", "beta RMS (said, NEES)",
           "o RMS (said, NEES)", "second half by o of the first / best constant"))  # fmt: skip
     show(("---",) * 7)
     for way in WAYS:
         for minutes in (2.0, 4.0, 8.0) if way == "odometry" else (4.0,):
-            row(way, minutes, [city_drive(seed, 60.0 * minutes, way) for seed in range(drives)])
+            row(way, minutes, [city_drive(seed + n, 60.0 * minutes, way) for n in range(drives)])
 
 
 def row(name: str, minutes: float, drives: list[Drive]) -> None:
@@ -182,12 +182,12 @@ def summary(found: list[tuple[float, float]], drives: int) -> str:
     return f"{rms:.2f} ({stated:.2f}, {np.mean((error / sigma) ** 2):.1f}{answered})"
 
 
-def traps(drives: int) -> None:
+def traps(drives: int, seed: int) -> None:
     """Print cases that must not give a wrong result."""
     print("\nBackwards half of the time, speed without a sign: wrong directions of travel")
     wrong = trips = 0
-    for seed in range(drives):
-        rng = np.random.default_rng(1000 + seed)
+    for number in range(drives):
+        rng = np.random.default_rng(1000 + seed + number)
         truth = travel(city(rng, 90.0) + reversing(rng, 10), rng)
         wheels = Wheels(is_signed=False)
         drive = simulated_drive(truth, rng, Vehicle(imu_yaw=0.3), wheels=wheels)
@@ -204,7 +204,7 @@ def traps(drives: int) -> None:
         print(times, "-" if course is None else f"{math.degrees(course.sigma):.2f}")
 
 
-def odd_ones(drives: int) -> None:
+def odd_ones(drives: int, seed: int) -> None:
     """Print what becomes of o where a course is no heading, or the field is not the vehicle's."""
     print("\nAnd where o must not be reported, or with a larger sigma")
     show(("what", "reported", "o RMS (sigma, NEES)"))
@@ -217,8 +217,8 @@ def odd_ones(drives: int) -> None:
          {"irons": (trailer,)}, (0.0, 0.0)),
     ):  # fmt: skip
         found = []
-        for seed in range(drives):
-            rng = np.random.default_rng(2000 + seed)
+        for number in range(drives):
+            rng = np.random.default_rng(2000 + seed + number)
             truth = travel(legs_of(rng), rng, current=current)
             drive = simulated_drive(truth, rng, Vehicle(imu_yaw=0.1), **options)
             course = follow(drive.samples(), of_robot(drive)).course
@@ -313,9 +313,10 @@ def main() -> None:
     """Print the tables."""
     drives = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     print(f"Simulated: {drives} drives a row, city, degrees")
-    simulated(drives)
-    traps(max(1, drives // 2))
-    odd_ones(max(1, drives // 2))
+    seed = int(sys.argv[3]) if len(sys.argv) > 3 else 0
+    simulated(drives, seed)
+    traps(max(1, drives // 2), seed)
+    odd_ones(max(1, drives // 2), seed)
     beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     print("\nRecorded cars, calibrated by what they turned before, degrees")
     recorded(Path(sys.argv[2]) if len(sys.argv) > 2 else beside)

@@ -139,7 +139,7 @@ class Travel:
             "speed_from": self._topics.get(estimator.source),
             "own_acceleration_taken_off": estimator.acceleration.is_used,
             "metres": round(estimator.metres, -1),
-            "drifts": estimator.drift.is_drifting,
+            "drifts": estimator.drifts,
             "course_gap_deg": _degrees(self.driven_yaw.compass_gap),
             "course_gap_sigma_deg": _degrees(self.driven_yaw.compass_sigma),
             "course_metres": None if course is None else round(course.metres, -1),

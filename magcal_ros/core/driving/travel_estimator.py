@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+import cmath
 import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from magcal_ros.core.driving.chords import (
-    Chord,
-    Chords,
-    CourseOffset,
-    GyroFrame,
-    Tick,
-    fit_course_offset,
-)
+from magcal_ros.core.driving.chords import Chord, Chords, CourseOffset, fit_course_offset, is_hull
 from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SpeedSource
-from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator, SpeedCheck
-from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
-from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.slope import Slope
+from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
+from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator
+from magcal_ros.core.driving.speed import Speedometer
+from magcal_ros.core.driving.vehicle_acceleration import VehicleAcceleration
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
     FieldSample,
@@ -33,42 +27,10 @@ from magcal_ros.core.samples.streams import (
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import ZERO
 
-
-class HullDrift:
-    """Compares turns by course with turns by gyro, from chord to chord.
-
-    `share` is the fraction of its turns that the course does not show: none on wheels, all of a
-    drifting hull's.
-    """
-
-    def __init__(self) -> None:
-        self.share = Slope(math.inf)
-        self._last: Chord | None = None
-        # A prior without drift: the first few chords may agree by chance.
-        weight = COURSE.prior_weight
-        self.share.add(0.0, 0.0, weight * COURSE.largest_turn**2, count=weight)
-
-    def add(self, chord: Chord) -> None:
-        """Add a chord."""
-        last, self._last = self._last, chord
-        if last is None or chord.stamp - last.stamp > COURSE.together:
-            return
-        turned = wrapped(chord.gyro_gap + chord.course - last.gyro_gap - last.course)
-        # Modulo half a turn, because the sign of the speed may be wrong for a while.
-        missed = math.remainder(chord.gyro_gap - last.gyro_gap, math.pi)
-        self.share.add(turned * missed, turned**2, missed**2)
-
-    @property
-    def is_drifting(self) -> bool:
-        """Whether course and heading differ: a hull is likelier than wheels."""
-        return self.share.log_odds > COURSE.on_wheels
-
-    def restart(self) -> None:
-        """Forget the last chord: the zero of the gyro's yaw has changed."""
-        self._last = None
-
-
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
+
+
+PENDING = 64  # chords that may wait for the direction of travel
 
 
 def run_immediately(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
@@ -89,22 +51,28 @@ class TravelEstimator:
         self.speedometer = Speedometer()
         self.mounting = MountingYawEstimator(self.speedometer)
         self.chords: deque[Chord] = deque(maxlen=COURSE.most)
-        self.drift = HullDrift()
         self.course: CourseOffset | None = None
         self.metres = 0.0
+        self._ahead = 0.0  # metres forwards minus metres backwards, while no source shows the sign
         self.acceleration = VehicleAcceleration()
         self._frame = GyroFrame()
         self._paths = Chords()
-        self._pending: deque[Chord] = deque(maxlen=256)
+        self._pending: deque[Chord] = deque(maxlen=PENDING)
         self.is_heard = False
-        self._given: tuple[float, float] | None = None
         self._restarts = 0
+
+    @property
+    def drifts(self) -> bool:
+        """Whether course and heading differ, as a hull's in a current."""
+        return is_hull(self.chords)
 
     @property
     def known_mounting(self) -> MountingYaw | None:
         """The yaw of the IMU in the vehicle; None until the drive determines it."""
         found = self.mounting.found
-        return found if found is not None and found.is_known else None
+        # The first trip may be a short one backwards.
+        is_forwards = self._ahead > ACCELERATION.backwards
+        return found if found is not None and found.is_known and is_forwards else None
 
     @property
     def source(self) -> SpeedSource | None:
@@ -122,9 +90,7 @@ class TravelEstimator:
     def has_wheels(self) -> bool:
         """Whether the speed of wheels is frequent enough to time starts and stops."""
         track = self.speedometer.track
-        if track is None or track.source is not SpeedSource.ODOMETRY:
-            return False
-        return math.isfinite(track.newest) and not track.is_slow
+        return track is not None and track.is_quick and math.isfinite(track.newest)
 
     def wheel_speed(self, stamp: float) -> float:
         """Return the speed of wheels, m/s; NaN without a measurement near a stamp, seconds."""
@@ -134,9 +100,10 @@ class TravelEstimator:
         return track.last
 
     def use_mounting_yaw(self, yaw: float, sigma: float) -> None:
-        """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is usable."""
-        self._given = (yaw, sigma)
-        self._use_fit()
+        """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is known."""
+        if sigma < MOUNTING.usable and self.known_mounting is None:
+            self._use_yaw(yaw, 1.0)
+            self._ahead = math.inf
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
         """Add an IMU sample; return the vehicle's acceleration, m/s², body axes.
@@ -148,7 +115,7 @@ class TravelEstimator:
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
             self._restarts = self._frame.restarts
-            for each in (self.acceleration, self._paths, self.mounting, self.drift):
+            for each in (self.acceleration, self._paths, self.mounting):
                 each.restart()
         if tick is not None:
             self._on_tick(tick)
@@ -183,8 +150,6 @@ class TravelEstimator:
 
     def _begin_course(self) -> Callable[[], CourseOffset | None]:
         """Return a function that fits the course, in up to a tenth of a second."""
-        if self.drift.is_drifting:
-            return lambda: None
         chords = list(self.chords)
         return lambda: fit_course_offset(chords)
 
@@ -197,8 +162,9 @@ class TravelEstimator:
         is_due = False
         for met, speed in self.acceleration.add(tick, track):
             is_due = self.mounting.add(met, speed) or is_due
-            if math.isfinite(speed):
+            if track is not None and math.isfinite(speed):
                 self.metres += abs(speed) * met.seconds
+                self._ahead += math.inf if track.is_signed else speed * met.seconds
         if is_due and not self._is_running:
             self._fit(tick.stamp)
         for receiver in (SpeedSource.FIXES, SpeedSource.VELOCITY):
@@ -209,52 +175,41 @@ class TravelEstimator:
 
     def _fit(self, stamp: float) -> None:
         """Start the fits of the mounting yaw and of the course."""
-        mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
+        if self._ahead < 0.0:
+            # A vehicle goes backwards for the smaller part of its way.
+            self._ahead, self.acceleration.turn = -self._ahead, -self.acceleration.turn
+        turn = self.acceleration.turn if self.acceleration.is_yaw_known else None
+        checks, course = self.mounting.begin_fit(stamp, turn), self._begin_course()
         self._is_running = True
 
-        def work() -> tuple[tuple[SpeedCheck, ...], CourseOffset | None]:
-            return mounting(), course()
-
-        def then(found: tuple[tuple[SpeedCheck, ...], CourseOffset | None]) -> None:
+        def then(found: tuple[Any, CourseOffset | None]) -> None:
             self._is_running = False
             self.mounting.take(found[0])
             self.course = found[1]
-            self._use_fit()
+            mounting = self.mounting.found
+            if mounting is not None and mounting.is_known:
+                self._use_yaw(mounting.yaw, min(1.0, mounting.scale))
+                self.acceleration.noise = mounting.noise
 
-        self._run(work, then)
+        self._run(lambda: (checks(), course()), then)
 
-    def _use_fit(self) -> None:
-        found, acceleration, given = self.mounting.found, self.acceleration, self._given
-        if found is not None and found.is_usable:
-            # A rough yaw is enough: the acceleration is continuously tested against the force.
-            acceleration.yaw, acceleration.noise = found.yaw, found.noise
-            acceleration.scale = min(1.0, found.scale)
-            acceleration.is_yaw_usable = True
-            acceleration.is_yaw_known = found.is_known
-        elif given is not None and given[1] < MOUNTING.usable:
-            acceleration.yaw, acceleration.is_yaw_usable, acceleration.is_yaw_known = (
-                given[0],
-                True,
-                True,
-            )
+    def _use_yaw(self, yaw: float, scale: float) -> None:
+        self.acceleration.turn = cmath.rect(scale, -yaw)
+        self.acceleration.is_yaw_known = True
 
     def _settle(self) -> None:
         """Use chords once it is known whether the vehicle drove forwards."""
         track = self.speedometer.track
         while self._pending:
-            chord = self._pending[0]
-            moment = chord.stamp - self._paths.delay
-            sign, is_clear, is_open = self.acceleration.trip_at(moment)
+            moment = self._pending[0].stamp - self._paths.delay
+            trip = self.acceleration.trip_at(moment)
+            sign = trip.sign
             if track is not None and track.is_signed:
-                speed = track.at(moment + track.delay)
-                sign = sign if speed is None else math.copysign(1.0, speed)
-            elif self.acceleration.is_yaw_known and not is_clear and is_open:
-                waits = self._pending[-1].stamp - chord.stamp
-                if waits < ACCELERATION.longest:
-                    return
-            self._pending.popleft()
+                sign = track.at(moment + track.delay) or sign
+            elif self.acceleration.is_open(trip) and len(self._pending) < PENDING:
+                return
+            chord = self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
-            self.drift.add(chord)
             self.chords.append(chord)
 
 

@@ -154,7 +154,7 @@ def test_a_drifting_boat_is_refused(seed):
     legs = [Leg(float(rng.uniform(4.0, 8.0)), 0.0, 0.0, rng.normal(0.0, 0.04)) for _ in range(40)]
     drive = driven(legs, seed, current=(2.5, 0.5), wheels=None)
     estimator = follow(drive)
-    assert estimator.drift.is_drifting
+    assert estimator.drifts
     assert estimator.fit_course() is None
 
 
@@ -162,8 +162,8 @@ def test_a_drifting_boat_is_refused(seed):
 def test_the_noise_of_a_receiver_is_no_drift(noise):
     drive = driven(city(np.random.default_rng(9), 150.0), 9, receiver=Receiver(noise=noise))
     estimator = follow(drive)
-    assert estimator.drift.share.predicted > 1.0
-    assert not estimator.drift.is_drifting
+    assert len(estimator.chords) > 10
+    assert not estimator.drifts
 
 
 @pytest.mark.nightly

@@ -13,7 +13,7 @@ EAST = 9.0 * DEGREE, 0.5 * DEGREE
 
 
 def mounting(yaw_deg, sigma_deg=0.5):
-    return MountingYaw(yaw_deg * DEGREE, sigma_deg * DEGREE, 1.0, 0.0, 0.9, 90.0, 90.0, 200.0, 0.1)
+    return MountingYaw(yaw_deg * DEGREE, sigma_deg * DEGREE, 1.0, 0.0, 0.9, 90.0, 90.0, 0.1)
 
 
 def course(offset_deg, sigma_deg=1.0):

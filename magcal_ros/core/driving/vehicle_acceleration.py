@@ -1,0 +1,166 @@
+"""The vehicle's acceleration by its speed, and the direction of travel by the force."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from typing import NamedTuple
+
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SpeedSource
+from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
+from magcal_ros.core.driving.speed import SpeedTrack
+from magcal_ros.core.geometry.vec3 import Triple, minus
+from magcal_ros.core.knowledge import CLEAR
+
+
+class Trip(NamedTuple):
+    """From one stop to the next.
+
+    `sign` is minus one backwards, `is_clear` whether the force has determined it, and `end` the
+    stamp of the stop.
+    """
+
+    sign: float = 1.0
+    is_clear: bool = False
+    end: float = math.inf
+
+
+class VehicleAcceleration:
+    """Subtracts the vehicle's acceleration from the force.
+
+    Over the last second with a known speed, the mean force minus the change of velocity is
+    gravity, in the frame stabilised by the gyro. It is rotated into the present body axes, so that
+    a speed with latency or at 1 Hz can be used.
+
+    `turn` is the force over the change of velocity of an IMU that faces ahead: its angle is minus
+    the IMU's yaw, and noise of the speed makes it smaller than one. `noise` is the residual of the
+    force, m/s². While `is_yaw_known` is false, a vehicle is assumed to drive forwards. `is_used` is
+    whether the speed explains the force of the last seconds.
+    """
+
+    def __init__(self) -> None:
+        self.turn, self.is_yaw_known, self.noise = 1.0 + 0j, False, 0.3
+        self._waiting: deque[Tick] = deque(maxlen=64)
+        self._matched: deque[tuple[Tick, complex]] = deque()
+        self._source: SpeedTrack | None = None
+        self._key: tuple[SpeedSource, float] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all ticks: the gyro's frame has changed."""
+        self._waiting.clear()
+        self._before, self._trip, self._moves = Trip(end=-math.inf), Trip(), False
+        self._shown = self._energy = 0.0
+        self._rest = 0j
+        self._try_anew()
+
+    def _try_anew(self) -> None:
+        self._matched.clear()
+        self._gravity: tuple[float, Triple] | None = None
+        self._seen = self._left = 0.0
+        self.is_used = False
+
+    @property
+    def sign(self) -> float:
+        """Minus one while a vehicle with an unsigned speed reverses, else one."""
+        return self._trip.sign
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the force has determined the sign since the last stop."""
+        return self._trip.is_clear
+
+    def trip_at(self, stamp: float) -> Trip:
+        """Return the trip at a stamp; its end is infinite as long as it lasts."""
+        return self._trip if stamp > self._before.end else self._before
+
+    def is_open(self, trip: Trip) -> bool:
+        """Whether the force may still determine the direction of a trip."""
+        return self.is_yaw_known and not trip.is_clear and trip.end == math.inf
+
+    def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
+        """Add a tick; return the ticks that were matched with a speed (m/s, NaN if unknown)."""
+        self._waiting.append(tick)
+        key = None if track is None else (track.source, track.delay)
+        if key != self._key:
+            # After a change of source or latency, differences of velocity are not valid.
+            self._key = key
+            self._try_anew()
+        met: list[tuple[Tick, float]] = []
+        while self._waiting:
+            first = self._waiting[0]
+            is_late = tick.stamp - first.stamp > ACCELERATION.oldest
+            if track is not None and not track.has_passed(first.stamp) and not is_late:
+                break
+            self._waiting.popleft()
+            speed = None if track is None else track.at(first.stamp)
+            if track is None or speed is None:
+                self._matched.clear()
+                self._gravity = None
+            else:
+                self._meet(first, speed, track)
+            met.append((first, math.nan if speed is None else speed * self.sign))
+        return met
+
+    def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
+        """Return what to subtract from a specific force, m/s², body axes; None if unknown."""
+        since, gravity = self._gravity or (math.inf, force)
+        is_known = self.is_used and 0.0 <= stamp - since <= ACCELERATION.oldest
+        if not is_known or frame.axes is None:
+            return None
+        return minus(force, frame.to_body(gravity))
+
+    def _meet(self, tick: Tick, speed: float, track: SpeedTrack) -> None:
+        moves = abs(speed) > ACCELERATION.speed_at_rest
+        if self._moves and not moves:
+            self._before = self._trip._replace(end=tick.stamp)
+            self._trip = Trip()
+            self._shown = self._energy = 0.0
+        self._moves = moves
+        self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
+        if len(self._matched) > MOUNTING.smooth:
+            self._subtract(track)
+            self._matched.popleft()
+
+    def _subtract(self, track: SpeedTrack) -> None:
+        """Subtract the change of velocity over some ticks from the mean force."""
+        (begin, old), *others = self._matched
+        end, new = others[-1]
+        seconds = sum(tick.seconds for tick, _ in others)
+        if not 0.5 * seconds < end.stamp - begin.stamp < 1.5 * seconds:
+            return
+        x, y, z = (
+            sum(tick.force[axis] * tick.seconds for tick, _ in others) / seconds
+            for axis in range(3)
+        )
+        own = (new - old) / seconds * self.turn
+        # A slope of the road and the accelerometer's bias are no change of velocity.
+        seen = complex(x, y) - self._rest
+        product = (seen * own.conjugate()).real
+        if not track.is_signed and self._moves:
+            self._decide(product, abs(own) ** 2)
+        own *= self.sign
+        left = seen - own
+        self._rest += end.seconds / ACCELERATION.memory * left
+        keeps = 1.0 - end.seconds / ACCELERATION.memory
+        self._seen = max(abs(seen) ** 2, keeps * self._seen)
+        self._left = max(abs(left) ** 2, keeps * self._left)
+        limit = max((1.0 - MOUNTING.explained) * self._seen, (CLEAR * ACCELERATION.quiet) ** 2)
+        # Fixes show starts too late and too smooth to be of use.
+        is_sharp = track.source is not SpeedSource.FIXES
+        self.is_used = self.is_yaw_known and is_sharp and self._left < limit
+        self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
+
+    def _decide(self, shown: float, energy: float) -> None:
+        """Accumulate the evidence for the direction of travel since the last stop."""
+        if not self.is_yaw_known:
+            return
+        self._shown += shown
+        self._energy += energy
+        sigma = math.sqrt(MOUNTING.smooth * self._energy) * self.noise
+        sign = math.copysign(1.0, self._shown)
+        if abs(self._shown) > CLEAR * sigma:
+            if sign != self.sign:
+                self._seen = self._left = 0.0
+            self._trip = Trip(sign, True)
