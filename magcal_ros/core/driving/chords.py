@@ -23,7 +23,7 @@ from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, SPEED
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.geometry.slope import Slope
-from magcal_ros.core.knowledge import STREET_LENGTH
+from magcal_ros.core.knowledge import CLEAR, STREET_LENGTH
 from magcal_ros.core.samples.streams import PositionSample, VelocitySample
 
 SECTORS = 8
@@ -58,16 +58,16 @@ class Chords:
         self._looked: deque[tuple[Tick, complex]] = deque(maxlen=64)
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
         self._sum = 0j
-        self._place = (0.0, 0.0)
+        self._place = self._path = 0j  # the newest place, and the sum of the velocities, metres
+        self._placed_at = -math.inf
         self.restart()
 
     def restart(self) -> None:
         """Forget all yaws: the gyro's frame has changed."""
         self._looked.clear()
         self._waiting.clear()
-        self._anchor: PositionSample | None = None
+        self._start: tuple[float, complex] | None = None
         self._velocity: VelocitySample | None = None
-        self._driven = 0.0  # metres since the last chord by velocity
 
     def add_yaw(self, yaw: float) -> None:
         """Add a yaw of the compass, radians, to the present tick."""
@@ -79,11 +79,7 @@ class Chords:
         self._sum = 0j
         made: list[Chord | None] = []
         while self._waiting and self._waiting[0].stamp - self.delay <= tick.stamp:
-            fix = self._waiting.popleft()
-            if isinstance(fix, PositionSample):
-                made.append(self._by_position(fix))
-            else:
-                made.append(self._by_velocity(fix))
+            made.append(self._take(self._waiting.popleft()))
         return [chord for chord in made if chord is not None]
 
     def add_fix(self, fix: PositionSample | VelocitySample) -> None:
@@ -91,43 +87,38 @@ class Chords:
         if all(math.isfinite(value) for value in fix):
             self._waiting.append(fix)
 
-    def _by_position(self, fix: PositionSample) -> Chord | None:
-        self._place = (fix.east, fix.north)
-        start = self._anchor
-        if self._velocity is not None and abs(fix.stamp - self._velocity.stamp) < COURSE.longest:
+    def _take(self, fix: PositionSample | VelocitySample) -> Chord | None:
+        at, velocity = complex(fix.east, fix.north), self._velocity
+        if isinstance(fix, PositionSample):
+            self._place, self._placed_at = at, fix.stamp
+            if velocity is not None and abs(fix.stamp - velocity.stamp) <= COURSE.longest:
+                return None
+            return self._to(fix.stamp, at, COURSE.relative_sigma)
+        seconds = math.inf if velocity is None else fix.stamp - velocity.stamp
+        self._velocity = fix
+        if not 0.0 < seconds <= COURSE.longest:
+            self._start = None
             return None
-        if start is None or not 0.0 < fix.stamp - start.stamp <= COURSE.longest:
-            self._anchor = fix
+        self._path += seconds * at
+        if fix.stamp - self._placed_at > COURSE.longest:
+            self._place += seconds * at
+        return self._to(fix.stamp, self._path, fix.sigma * seconds)
+
+    def _to(self, stamp: float, place: complex, error: float) -> Chord | None:
+        """Return the chord to a place with a relative error, metres.
+
+        The path must be straight, and have a yaw of the compass in each tick.
+        """
+        start = self._start
+        if start is None or not 0.0 < stamp - start[0] <= COURSE.longest:
+            self._start = (stamp, place)
             return None
-        shift = complex(fix.east - start.east, fix.north - start.north)
+        shift = place - start[1]
         if abs(shift) < COURSE.shortest:
             return None
-        sigma = math.sqrt(2.0) * COURSE.relative_sigma / abs(shift)
-        chord = self._chord(start.stamp, fix.stamp, shift, sigma)
-        # The next chord starts at another fix, so that an error of this fix counts once.
-        self._anchor = fix if chord is None else None
-        return chord
-
-    def _by_velocity(self, fix: VelocitySample) -> Chord | None:
-        before, self._velocity = self._velocity, fix
-        speed = math.hypot(fix.east, fix.north)
-        seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= COURSE.longest or speed <= 0.0:
-            return None
-        self._place = (
-            self._place[0] + seconds * fix.east,
-            self._place[1] + seconds * fix.north,
-        )
-        self._driven += seconds * speed
-        if self._driven < COURSE.shortest:
-            return None
-        shift = self._driven / speed * complex(fix.east, fix.north)
-        self._driven = 0.0
-        return self._chord(fix.stamp - 0.5, fix.stamp + 0.1, shift, fix.sigma / speed)
-
-    def _chord(self, begin: float, end: float, shift: complex, sigma: float) -> Chord | None:
-        """Return the chord of a displacement, metres, if the path is straight with a compass."""
-        first, last = begin - self.delay, end - self.delay
+        self._start = (stamp, place)
+        sigma = math.sqrt(2.0) * error / abs(shift)
+        first, last = start[0] - self.delay, stamp - self.delay
         among = [
             (tick, compass)
             for tick, compass in self._looked
@@ -145,13 +136,13 @@ class Chords:
         compass_yaw = cmath.phase(sum(compass / abs(compass) for _, compass in among))
         gyro_yaw = cmath.phase(sum(cmath.exp(1j * tick.yaw) for tick, _ in among))
         gaps = [math.remainder(yaw - course, math.tau) for yaw in (compass_yaw, gyro_yaw)]
-        return Chord(end, *self._place, course, gaps[0], gaps[1], sigma, abs(shift))
+        return Chord(
+            stamp, self._place.real, self._place.imag, course, gaps[0], gaps[1], sigma, abs(shift)
+        )
 
 
 def is_hull(chords: Sequence[Chord]) -> bool:
     """Whether the course does not follow the turns of the gyro: a hull is likelier than wheels."""
-    if len(chords) < 2:
-        return False
     stamp, course, gyro_gap = np.array([(c.stamp, c.course, c.gyro_gap) for c in chords]).T
     near = np.diff(stamp) <= COURSE.together
     turned = wrap_angle(np.diff(gyro_gap + course)[near])
@@ -164,7 +155,7 @@ def is_hull(chords: Sequence[Chord]) -> bool:
     # A prior without drift: a few chords may agree by chance.
     weight = COURSE.prior_weight
     share.add(0.0, 0.0, weight * COURSE.largest_turn**2, count=weight)
-    return share.log_odds > COURSE.on_wheels
+    return share.log_odds > CLEAR
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,6 @@ from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """Units of speed by their number in one m/s."""
-
-
 HIGHPASS = int(ACCELERATION.memory / ACCELERATION.seconds)
 """Ticks of the running mean that is subtracted."""
 
@@ -68,12 +66,16 @@ class MountingYaw:
             return SpeedFault.JUMPS
         if self.energy < MOUNTING.energy:
             return None
-        if self.explained < MOUNTING.explained:
-            return SpeedFault.FROZEN if self.is_constant else SpeedFault.UNRELATED
         # Noise of the speed reduces the scale, at most to the fraction that is explained.
-        if not self.scale - MOUNTING.scale <= 1.0 <= self.scale / self.explained + MOUNTING.scale:
-            return SpeedFault.SCALE
-        return SpeedFault.LATE if self.delay > ACCELERATION.oldest else None
+        most = self.scale / max(self.explained, MOUNTING.explained)
+        fault = None
+        if self.explained < MOUNTING.explained:
+            fault = SpeedFault.UNRELATED
+        elif not self.scale - MOUNTING.scale <= 1.0 <= most + MOUNTING.scale:
+            fault = SpeedFault.SCALE
+        elif self.delay > ACCELERATION.oldest:
+            fault = SpeedFault.LATE
+        return SpeedFault.FROZEN if fault and self.is_constant else fault
 
     @property
     def is_known(self) -> bool:

@@ -88,16 +88,11 @@ class SpeedTrack:
         self._kept.append(sample)
 
     @property
-    def is_slow(self) -> bool:
-        """Whether these are wheels with a message rate as low as a receiver's."""
-        if self.source is not SpeedSource.ODOMETRY or len(self._kept) < 4:
-            return False
-        return self._kept[-1][0] - self._kept[-4][0] > 3.0 * SPEED.seldom
-
-    @property
     def is_quick(self) -> bool:
-        """Whether these are wheels whose messages are frequent."""
-        return self.source is SpeedSource.ODOMETRY and not self.is_slow
+        """Whether these are wheels that are measured more often than by a receiver."""
+        if self.source is not SpeedSource.ODOMETRY:
+            return False
+        return len(self._kept) < 4 or self._kept[-1][0] - self._kept[-4][0] <= 3.0 * SPEED.seldom
 
     @property
     def gap(self) -> float:

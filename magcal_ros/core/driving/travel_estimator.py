@@ -64,7 +64,7 @@ class TravelEstimator:
     @property
     def drifts(self) -> bool:
         """Whether course and heading differ, as a hull's in a current."""
-        return is_hull(self.chords)
+        return len(self.chords) > 1 and is_hull(self.chords)
 
     @property
     def known_mounting(self) -> MountingYaw | None:
