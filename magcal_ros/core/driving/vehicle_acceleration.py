@@ -147,9 +147,7 @@ class VehicleAcceleration:
         self._seen = max(abs(seen) ** 2, keeps * self._seen)
         self._left = max(abs(left) ** 2, keeps * self._left)
         limit = max((1.0 - MOUNTING.explained) * self._seen, (CLEAR * ACCELERATION.quiet) ** 2)
-        # Fixes show starts too late and too smooth to be of use.
-        is_sharp = track.source is not SpeedSource.FIXES
-        self.is_used = self.is_yaw_known and is_sharp and self._left < limit
+        self.is_used = self.is_yaw_known and self._left < limit
         self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
     def _decide(self, shown: float, energy: float) -> None:
