@@ -51,7 +51,7 @@ class VehicleAcceleration:
         """Forget all ticks: the gyro's frame has changed."""
         self._waiting.clear()
         self._before, self._trip, self._moves = Trip(end=-math.inf), Trip(), False
-        self._shown = self._energy = 0.0
+        self._odds = 0.0
         self._rest = 0j
         self._try_anew()
 
@@ -116,7 +116,7 @@ class VehicleAcceleration:
         if self._moves and not moves:
             self._before = self._trip._replace(end=tick.stamp)
             self._trip = Trip()
-            self._shown = self._energy = 0.0
+            self._odds = 0.0
         self._moves = moves
         self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
         if len(self._matched) > MOUNTING.smooth:
@@ -139,7 +139,7 @@ class VehicleAcceleration:
         seen = complex(x, y) - self._rest
         product = (seen * own.conjugate()).real
         if not track.is_signed and self._moves:
-            self._decide(product, abs(own) ** 2)
+            self._decide(product)
         own *= self.sign
         left = seen - own
         self._rest += end.seconds / ACCELERATION.memory * left
@@ -150,15 +150,18 @@ class VehicleAcceleration:
         self.is_used = self.is_yaw_known and self._left < limit
         self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
-    def _decide(self, shown: float, energy: float) -> None:
-        """Accumulate the evidence for the direction of travel since the last stop."""
+    def _decide(self, product: float) -> None:
+        """Accumulate the evidence for the direction of travel since the last stop.
+
+        The evidence is bounded, as a speed at 1 Hz may miss a stop.
+        """
         if not self.is_yaw_known:
             return
-        self._shown += shown
-        self._energy += energy
-        sigma = math.sqrt(MOUNTING.smooth * self._energy) * self.noise
-        sign = math.copysign(1.0, self._shown)
-        if abs(self._shown) > CLEAR * sigma:
+        most = 2.0 * CLEAR**2  # the log odds of a force of this many sigmas
+        odds = self._odds + 2.0 * product / (MOUNTING.smooth * self.noise**2)
+        self._odds = min(max(odds, -most), most)
+        if abs(self._odds) == most:
+            sign = math.copysign(1.0, self._odds)
             if sign != self.sign:
                 self._seen = self._left = 0.0
             self._trip = Trip(sign, True)
