@@ -220,7 +220,8 @@ def check_speed(
     if track.source is SpeedSource.ODOMETRY:
         newest = fit_mounting_yaw(changes.last(count), delay)
         found = newest if newest is not None and newest.fault is not None else found
-    is_constant = float(np.ptp(speed[-count // 2 :])) == 0.0
+    newest_speeds = speed[-count // 2 :]
+    is_constant = len(np.unique(newest_speeds[np.isfinite(newest_speeds)])) == 1
     jumps = track.outlier_share > SPEED.outliers
     return replace(found, is_constant=is_constant, jumps=jumps)
 
