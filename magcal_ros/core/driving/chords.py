@@ -179,7 +179,7 @@ def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
     start = float(gaps[np.argmin(np.log1p(far).sum(axis=1))])
     gap = wrap_angle(gaps - start)
     # Repeated passes of a place add no independent information: together they are one observation.
-    squares = np.floor(np.column_stack([east, north]) / STREET_LENGTH)
+    squares = np.floor(np.column_stack([east, north]) / COURSE.place)
     _, first, cell = np.unique(squares, axis=0, return_index=True, return_inverse=True)
     cell = cell.ravel()
     waves = (np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi))

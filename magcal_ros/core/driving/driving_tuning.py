@@ -90,6 +90,7 @@ class CourseTuning:
     relative_sigma: float = 0.3
     """Relative error of neighbouring fixes, metres; not the absolute accuracy."""
     together: float = 10.0  # largest time between chords that are compared for drift, seconds
+    place: float = 24.0  # metres within which chords are one observation; the field differs beyond
     most: int = 400  # newest chords that are kept: a few kilometres
     wave_sigma: float = math.radians(3.0)
     """Prior sigma of the harmonics, radians: residual hard iron and soft iron."""
