@@ -76,13 +76,10 @@ class RestTuning:
 
     doubtful_rate: float = 0.01
     """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
-    lasting: float = 4.0  # steady seconds after which the length of the force is not checked
-    undecided: float = 1.0
-    """The same if the length is inconclusive, and seconds of a rest from which bias and length at
-    rest are learnt."""
-    agreeing: float = 0.5  # the same if the force agrees with the propagated up
-    agrees: float = 0.01  # largest angle between them, and sigma of up in a shaken rest, radians
-    shortest: float = 0.1  # the same as `lasting` if the length excludes an acceleration
+    sure: float = 7.0  # log odds from which a steady force points up
+    acceleration_lasts: float = 0.25  # correlation time of a constant acceleration, seconds
+    learns_after: float = 1.0  # seconds of a rest from which bias and length at rest are learnt
+    agrees: float = 0.01  # sigma of up in a shaken rest, radians
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
     alike: float = 2.0  # sigmas of the noise that are allowed in addition
@@ -257,16 +254,6 @@ class UpFilter:
         reads[:, 6:9] = _centripetal(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
         self._correct(reads, variance + FILTER.floor**2, left)
-
-    def observe_length(self, size: float, variance: float) -> None:
-        """Update with the accelerometer's length at rest, g."""
-        up = self.state[:3]
-        own = length(up.tolist())
-        if own > 0.0:
-            gain_rows = self.covariance[:, :3] @ (up / own)
-            spread = float(gain_rows[:3] @ up) / own + variance
-            self.state += gain_rows * ((size - own) / spread)
-            self.covariance -= gain_rows[:, None] * (gain_rows / spread)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Update with the mean rate of a block without a turn.

@@ -164,13 +164,9 @@ class GyroPropagation:
         turning = 0.0 if ambiguous_rate == 0.0 else self._steady_turn
         innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
         following.observe_force(innovation, self._noise / block.messages, turning)
-        if self._rest_sigma < FILTER.rest_length_sigma:
-            # To second order, the length along the estimate is as uncertain as the direction.
-            tilt = following.tilt_variance
-            following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
         if not self.is_settled:
             self._settle(ambiguous_rate, noise)
-        elif self._steady.seconds > REST.undecided:
+        elif self._steady.seconds > REST.learns_after:
             self._learn(means, ambiguous_rate, noise)
         self._look_for_shaken_rest(means)
         self._take_over()
@@ -229,23 +225,20 @@ class GyroPropagation:
         interval, following, motion = self._steady, self._filter, self._motion(True)
         if ambiguous_rate is None:
             return
-        is_short = interval.seconds <= REST.undecided
         # Variance of the accelerations that a steady robot may hide, compared with that of up.
         hidden = motion.acceleration**2 + (motion.speed * ambiguous_rate) ** 2
-        if ambiguous_rate and (is_short or following.tilt_variance <= hidden):
-            return
-        if self._is_given and is_short:
-            # An error of the given acceleration tilts the force without changing its length.
+        tilt_variance = following.tilt_variance
+        if ambiguous_rate and tilt_variance <= hidden:
             return
         up: Triple = tuple(following.up.tolist())
-        if not interval.shows_up(up, self._rest, self._rest_sigma, noise):
+        rest = self._rest, self._rest_sigma
+        evidence = interval.evidence(up, tilt_variance, rest, noise)
+        if evidence + interval.seconds / REST.acceleration_lasts < REST.sure:
             return
         self.is_settled = True
-        jump = distance(unit_triple(interval.force), unit_triple(up))
         # A jump of up that the gyro does not show may be a long, constant acceleration.
-        is_doubtful = interval.seconds >= REST.agreeing
-        if not is_doubtful or jump < CLEAR * math.sqrt(following.tilt_variance):
-            jump = 0.0
+        jump = distance(unit_triple(interval.force), unit_triple(up))
+        jump /= math.sqrt(1.0 + math.exp(min(evidence, 300.0)))
         variance = self._noise / interval.count + FILTER.floor**2
         motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
         following.begin(np.array(interval.force), variance, ambiguous_rate or 0.0, motion)

@@ -28,7 +28,7 @@ from magcal_ros.core.geometry.vec3 import (
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import TUNING as RESTED
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.up.filter import CHECK, REST
+from magcal_ros.core.up.filter import CHECK, FILTER, REST
 
 
 class FieldStillness:
@@ -135,24 +135,33 @@ class SteadyInterval:
         self.sway = self.shake = 0.0
         return False
 
-    def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:
-        """Whether the mean force of the spell points up.
+    def evidence(
+        self, up: Triple, tilt_variance: float, length_at_rest: tuple[float, float], noise: float
+    ) -> float:
+        """Return the log likelihood ratio of a force that points up, against an acceleration.
 
-        `up` (g) is the propagated one. `rest` and `rest_sigma` are the accelerometer's length at
-        rest and its sigma, g, and `noise` is the sigma of one message's force per axis.
+        `up` (g) is the propagated one, with the variance of its direction, rad². `length_at_rest`
+        is that of the accelerometer and its sigma, g, and `noise` the sigma of one message's force
+        per axis.
         """
         size, up_size = length(self.force), length(up)
-        if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
-            return self.seconds >= REST.lasting
-        cosine = min(1.0, dot(self.force, up) / (size * up_size))
-        segment = rest / max(cosine, 0.1) - rest
-        excess = size - rest
-        clear = CLEAR * math.sqrt(REST.length_floor**2 + rest_sigma**2 + noise**2 / self.count)
-        if segment - excess > abs(excess) + clear:
-            return self.seconds >= REST.shortest
-        if excess > 0.5 * segment + 0.5 * clear:
-            return False
-        return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
+        if size <= 0.0 or up_size <= 0.0:
+            return -math.inf
+        white = noise * noise / self.count
+        across, along = tilt_variance + white, REST.length_floor**2 + length_at_rest[1] ** 2 + white
+        jump = distance(scaled(self.force, 1.0 / size), scaled(up, 1.0 / up_size)) ** 2
+        # By the jump of its direction, an acceleration is normal, and its square lengthens a force.
+        moving = across + FILTER.usual_acceleration**2
+        share = FILTER.usual_acceleration**2 / moving
+        square, spread = share * share * jump, share * across
+        excess, longer = size - length_at_rest[0], 0.5 * square + spread
+        loose = along + square * spread + spread * spread
+        # A bump changes the length, too: it excludes an acceleration by no more than five sigmas.
+        off = min((excess - longer) ** 2 / loose, 25.0)
+        odds = 0.5 * (math.log(loose / along) + off - excess**2 / along)
+        # Student distributions of two degrees of freedom: up may be wrong by more than its sigma.
+        odds += math.log(moving / across)
+        return odds + 2.0 * math.log((1.0 + 0.5 * jump / moving) / (1.0 + 0.5 * jump / across))
 
 
 class ShakenRest:
