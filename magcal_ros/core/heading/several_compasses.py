@@ -93,7 +93,6 @@ class _CompassState:
     arrived: float = -math.inf  # stamp of the IMU at the last message
     changed: float = -math.inf  # the same for the last message with other values
     extra_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
-    relative_yaw: float = math.nan  # smoothed yaw relative to the common origin, radians
     offset: Triple = (0.0, 0.0, 0.0)  # its field minus the mean of all, body axes, tesla
     offset_seconds: float = 0.0  # seconds over which the offset was learnt
     weight: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
@@ -201,7 +200,7 @@ class SeveralCompasses:
 
     def _joined(self, reading: CompassReading, up: Up, fused: FusedYaw | None) -> CompassReading:
         seconds, self._stamp = reading.stamp - self._stamp, reading.stamp
-        yaws = self._compass_yaws(reading, up.direction, fused, seconds)
+        yaws = self._compass_yaws(reading, up.direction, fused)
         if not yaws:
             return reading._replace(heading=None)
         kept = without_outliers(yaws)
@@ -214,7 +213,7 @@ class SeveralCompasses:
         return self._with_heading(reading._replace(field=joined), up, kept, shares)
 
     def _compass_yaws(
-        self, reading: CompassReading, up: Triple, fused: FusedYaw | None, seconds: float
+        self, reading: CompassReading, up: Triple, fused: FusedYaw | None
     ) -> list[CompassYaw]:
         """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
@@ -223,26 +222,18 @@ class SeveralCompasses:
             seen = self._seen(member, reading, up) if is_heard else None
             if seen is None:
                 member.weight = CompassWeight(0.0, self._silence(member))
-                member.relative_yaw = math.nan
             else:
                 turned[number] = seen
         if not turned:
             return []
         origin = None if fused is None else fused.north_at(reading.stamp)
-        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
-            self._is_by_gyro = origin is not None
-            for member in self._members.values():
-                member.relative_yaw = math.nan
+        self._is_by_gyro = origin is not None
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
-        share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
         # The gyro shows which compass has changed. Until they have agreed, this is no evidence.
         shows = origin is not None and any(self._members[k].offset_seconds for k in turned)
         known = fused.yaw_variance if fused is not None and shows else math.inf
-        yaws = {
-            number: self._smoothed_yaw(number, yaw_between(north, seen, up), share)
-            for number, seen in turned.items()
-        }
+        yaws = {number: yaw_between(north, seen, up) for number, seen in turned.items()}
         return [self._compass_yaw(number, seen, yaws, known) for number, seen in turned.items()]
 
     def _seen(self, member: _CompassState, reading: CompassReading, up: Triple) -> Triple | None:
@@ -266,15 +257,6 @@ class SeveralCompasses:
         higher = own.strength * math.sin(own.inclination)
         higher -= common.strength * math.sin(common.inclination)
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
-
-    def _smoothed_yaw(self, number: int, yaw: float, share: float) -> float:
-        """Return the smoothed yaw of a member relative to the origin, radians."""
-        member = self._members[number]
-        change = wrapped(yaw - member.relative_yaw)
-        # A step that is larger than noise is not averaged.
-        is_noise = abs(change) <= CLEAR * math.sqrt(member.heading.noise_variance)
-        member.relative_yaw = wrapped(member.relative_yaw + share * change) if is_noise else yaw
-        return member.relative_yaw
 
     def _compass_yaw(
         self, number: int, seen: Triple, yaws: dict[int, float], known: float
