@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     """
     base_heading: BaseHeading VehicleYaw compare_with_course corrected_pose
     compass: CompassReading Heading quaternion_from_rpy
-    disturbance: DisturbanceDetector FieldDeviation FieldUse PATIENCE
+    disturbance: FieldDeviation FieldUse PATIENCE
     fused_yaw: FusedYaw
     motion_detector: MotionDetector
     motor_field_filter: MotorFieldFilter ODDS UNSEEN

@@ -1,4 +1,4 @@
-"""Whether the present field agrees with the calibration, or is disturbed."""
+"""How far the present field deviates from the calibrated one, and what that does to the yaw."""
 
 from __future__ import annotations
 
@@ -68,50 +68,108 @@ class Disturbance:
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 
 
-class DisturbanceDetector:
-    """Compares the corrected field with what the calibration expects.
+class FieldDeviation:
+    """Compares the corrected field with the calibrated one.
+
+    Strength and inclination do not depend on the heading. They show two components of the field's
+    error, in units of the field's strength; the third, across north, turns the yaw. One model gives
+    the variance of each: by the place, noise and calibration, and by the tilt of up.
 
     After `patience` seconds a deviating field is accepted as the expected one.
     """
 
-    def __init__(self, calibration: Calibration, patience: float) -> None:
+    def __init__(self, calibration: Calibration, patience: float = math.inf) -> None:
         self.patience = patience
         self.use = FieldUse.GOOD  # use of the newest sample
-        self.deviation = 0.0  # of the newest sample, sigmas
+        self.deviation = 0.0  # of strength and inclination, averaged, sigmas
         self.last: Disturbance | None = None  # the newest
+        self.is_accepted = False  # whether the newest sample made another field the expected one
+        self.yaw_variance = 0.0  # of the newest sample by its own deviation, rad²
+        self.is_turned = False  # whether most of the error turns the yaw
         # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        # Quantities that do not depend on the heading: strength, tesla, and inclination, radians.
-        self._calibrated = self._expected = calibration.strength, calibration.inclination
-        self._noise = _own_variance(calibration) / max(calibration.strength, 1e-9) ** 2
-        self._mean: tuple[float, float] | None = None
+        self._calibrated = self._expected = max(calibration.strength, 1e-9), calibration.inclination
+        noise = (DISTURBANCE.noise_share * calibration.noise_field) ** 2
+        self._noise = (noise + field_variance(calibration)) / self._calibrated[0] ** 2
+        self._mean = self._calibrated
         self._stamp = -math.inf
+        self._mean_excess = self._seconds = 0.0
         self._disturbed_since: float | None = None
 
     def add(
-        self, stamp: float, field: Triple, up: Triple, tilt_variance: float, yaw: float
-    ) -> bool:
-        """Add a corrected field; return whether a new field was accepted.
+        self,
+        stamp: float,
+        field: Triple,
+        up: Triple,
+        tilt_variance: float,
+        yaw: float = math.nan,
+        turned: tuple[float, float] = (0.0, math.inf),
+    ) -> float:
+        """Add a corrected field; return the additional variance of its yaw, rad².
 
         `field` (tesla) and `up`, a unit vector, are in body axes. `tilt_variance` is the variance
-        of up, rad², and `yaw` is recorded with a disturbance.
+        of up, rad², and `yaw` is recorded with a disturbance. `turned` is the yaw of the field
+        minus that of the gyro, radians, and the variance of the gyro's yaw, rad², infinite without
+        a gyro.
         """
         size = length(field)
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
         seconds, self._stamp = stamp - self._stamp, stamp
-        if self._mean is None or not 0.0 < seconds < 1.0:
-            self._mean = (size, dip)
-        share = 1.0 - math.exp(-min(max(seconds, 0.0), 1.0) / DISTURBANCE.memory)
+        is_next = 0.0 < seconds < 1.0
+        share = 1.0 - math.exp(-seconds / DISTURBANCE.memory) if is_next else 1.0
         old_size, old_dip = self._mean
         self._mean = (old_size + share * (size - old_size), old_dip + share * (dip - old_dip))
         if self._distance(self._calibrated, tilt_variance) < 1.0:
             self._expected = self._calibrated
         self.deviation = self._distance(self._expected, tilt_variance)
         self.use = self._judge()
-        if self.use is not FieldUse.IGNORED:
-            self._disturbed_since = None
-            return False
-        return self._note(stamp, yaw)
+        self._note(stamp, yaw)
+        # After a jump of time the next sample counts as one second.
+        seconds = seconds if is_next else 1.0
+        return self._yaw_variance(size, dip, tilt_variance, turned, seconds)
+
+    def _variances(self, tilt_variance: float) -> Triple:
+        """Return those of strength and inclination, and of the part across north, relative."""
+        common = self._noise + self.amplitude_variance
+        of_dip = DIP_SIGMA**2 + common
+        return DISTURBANCE.strength**2 + common, of_dip + tilt_variance, of_dip
+
+    def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
+        """Return the distance of the mean from a field, in sigmas."""
+        strength, dip = _deviation(self._mean, expected)
+        of_strength, of_dip, _ = self._variances(tilt_variance)
+        return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
+
+    def _yaw_variance(
+        self,
+        size: float,
+        dip: float,
+        tilt_variance: float,
+        turned: tuple[float, float],
+        seconds: float,
+    ) -> float:
+        """Return the variance of a yaw by the error of the field beyond its usual size.
+
+        Without a gyro the part across north is assumed to be as large as the others. A wrong
+        calibration shows these at some headings only, so that earlier deviations count as well.
+        """
+        strength, lower = _deviation((size, dip), self._expected)
+        level, expected = (1.0 + strength) * math.cos(dip), math.cos(self._expected[1])
+        off = strength**2 + 2.0 * (1.0 + strength) * (1.0 - math.cos(lower))
+        of_strength, of_dip, of_across = self._variances(tilt_variance * (1.0 + strength) ** 2)
+        usual = of_strength + of_dip
+        across = 2.0 * level * expected * (1.0 - math.cos(turned[0]))
+        usual_across = of_across + turned[1] * level * expected
+        self.is_turned = across - usual_across > off - usual
+        if math.isfinite(usual_across):
+            off, usual = off + across, usual + usual_across
+        excess = max(0.0, off - usual)
+        self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
+        self._mean_excess += seconds / self._seconds * (excess - self._mean_excess)
+        # The level field of a disturbance must not count as a strong level field of the Earth.
+        level = max(min(level, expected), 1e-9)
+        self.yaw_variance = min(excess / level**2, UNKNOWN_YAW)
+        return min(max(excess, self._mean_excess) / level**2, UNKNOWN_YAW)
 
     def learn(self, seconds: float, tilt_variance: float, across: float) -> float:
         """Learn the size of the local disturbance; return the growth of its variance, at least 1.
@@ -121,7 +179,7 @@ class DisturbanceDetector:
         over the squared strength.
         """
         old = self.amplitude_variance
-        strength, dip = self._deviation(self._calibrated)
+        strength, dip = _deviation(self._mean, self._calibrated)
         # Passing iron is not a property of places.
         most = CLEAR**2 * old
         square = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
@@ -134,109 +192,39 @@ class DisturbanceDetector:
     @property
     def usual_variance(self) -> float:
         """Variance of a good field per axis, over its squared strength."""
-        return DISTURBANCE.strength**2 + self._noise + self.amplitude_variance
+        return self._variances(0.0)[0]
 
     def _judge(self) -> FieldUse:
         # Hysteresis, so that a field at the limit is not used intermittently.
         was_ignored = self.use is FieldUse.IGNORED
-        edge = DISTURBANCE.believed_below if was_ignored else CLEAR
-        if self.deviation >= edge:
+        if self.deviation >= (DISTURBANCE.believed_below if was_ignored else CLEAR):
             return FieldUse.IGNORED
         return FieldUse.GOOD if self.deviation <= 1.0 else FieldUse.WEIGHED_DOWN
 
-    def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
-        """Return the distance of the mean from a field, in sigmas."""
-        strength, dip = self._deviation(expected)
-        common = self._noise + self.amplitude_variance
-        of_strength = DISTURBANCE.strength**2 + common
-        of_dip = DIP_SIGMA**2 + common + tilt_variance
-        return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
-
-    def _deviation(self, expected: tuple[float, float]) -> tuple[float, float]:
-        """Return the deviation of the mean from a field: relative strength, and dip in radians."""
-        assert self._mean is not None
-        strength, dip = self._mean
-        return strength / max(expected[0], 1e-9) - 1.0, dip - expected[1]
-
-    def _note(self, stamp: float, yaw: float) -> bool:
-        """Record the disturbance; return whether it has lasted long enough."""
-        strength, dip = self._deviation(self._expected)
+    def _note(self, stamp: float, yaw: float) -> None:
+        """Record the disturbance, and accept another field that has lasted long enough."""
+        self.is_accepted = False
+        if self.use is not FieldUse.IGNORED:
+            self._disturbed_since = None
+            return
+        strength, dip = _deviation(self._mean, self._expected)
         last = self.last
         if self._disturbed_since is None or last is None:
             self._disturbed_since = stamp
             last = Disturbance(stamp, stamp, yaw, strength, dip)
-        accepts = stamp - self._disturbed_since > self.patience
+        self.is_accepted = stamp - self._disturbed_since > self.patience
         self.last = Disturbance(
             last.since,
             stamp,
             last.yaw,
             max(strength, last.strength, key=abs),
             max(dip, last.dip, key=abs),
-            accepts,
+            self.is_accepted,
         )
-        if accepts:
-            assert self._mean is not None
-            self._expected = self._mean
-            self._disturbed_since = None
-        return accepts
+        if self.is_accepted:
+            self._expected, self._disturbed_since = self._mean, None
 
 
-def _own_variance(calibration: Calibration) -> float:
-    """Return the variance of the field by noise and calibration, per axis, tesla²."""
-    noise = DISTURBANCE.noise_share * calibration.noise_field
-    return noise**2 + field_variance(calibration)
-
-
-class FieldDeviation:
-    """The additional variance of the yaw, if the field contradicts the calibration.
-
-    Strength and dip show two components of the field's error. The third component, across north,
-    turns the yaw; without a gyro it is assumed to be as large. A wrong calibration shows the first
-    two at some headings only, so that earlier deviations count as well.
-    """
-
-    def __init__(self, calibration: Calibration) -> None:
-        strength, dip = calibration.strength, calibration.inclination
-        self._level, self._rise = strength * math.cos(dip), -strength * math.sin(dip)
-        places = DISTURBANCE.strength**2 + DIP_SIGMA**2 + 2.0 * DISTURBANCE.amplitude**2
-        own = _own_variance(calibration)
-        self._usual = strength**2 * places + 2.0 * own
-        places = DIP_SIGMA**2 + DISTURBANCE.amplitude**2
-        self._usual_across = strength**2 * places + own
-        self._mean_excess = self._seconds = 0.0
-        self._stamp = math.nan
-        self.is_turned = False  # whether most of the error turns the yaw
-
-    def add(
-        self,
-        stamp: float,
-        field: Triple,
-        up: Triple,
-        tilt_variance: float,
-        turned: tuple[float, float] = (0.0, math.inf),
-    ) -> float:
-        """Add a field; return the additional variance of its yaw by disturbances, rad².
-
-        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is the
-        variance of up, rad². `turned` is the yaw of the field minus that of the gyro, radians, and
-        the variance of the gyro's yaw, rad², infinite without a gyro.
-        """
-        rise, square = dot(field, up), dot(field, field)
-        level = math.sqrt(max(square - rise * rise, 0.0))
-        off = (level - self._level) ** 2 + (rise - self._rise) ** 2
-        usual = self._usual + tilt_variance * square
-        across = 2.0 * level * self._level * (1.0 - math.cos(turned[0]))
-        usual_across = self._usual_across + turned[1] * level * self._level
-        self.is_turned = across - usual_across > off - usual
-        if math.isfinite(usual_across):
-            off, usual = off + across, usual + usual_across
-        excess = max(0.0, off - usual)
-        # After a jump of time the next sample counts as one second.
-        seconds = stamp - self._stamp
-        seconds = seconds if 0.0 < seconds < 1.0 else 1.0
-        self._stamp = stamp
-        self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
-        self._mean_excess += seconds / self._seconds * (excess - self._mean_excess)
-        # The level field of a disturbance must not count as a strong level field of the Earth.
-        level = max(min(level, self._level), 1e-9)
-        return min(max(excess, self._mean_excess) / level**2, UNKNOWN_YAW)
+def _deviation(field: tuple[float, float], expected: tuple[float, float]) -> tuple[float, float]:
+    """Return the relative deviation of the strength, and that of the inclination in radians."""
+    return field[0] / expected[0] - 1.0, field[1] - expected[1]

@@ -28,7 +28,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, FieldUse
+from magcal_ros.core.heading.disturbance import FieldDeviation, FieldUse
 from magcal_ros.core.heading.field_jump import FieldJump, LevelField
 from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter, errors_of
 from magcal_ros.core.knowledge import CLEAR
@@ -67,7 +67,7 @@ class FusedYaw:
         self._filter.use_another_calibration()
 
     def _measure_by(self, calibration: Calibration, patience: float) -> None:
-        self.detector = DisturbanceDetector(calibration, patience)
+        self.detector = FieldDeviation(calibration, patience)
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
         self._strength = calibration.strength
@@ -175,7 +175,7 @@ class FusedYaw:
         if measured is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
         detector = self.detector
-        is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
+        detector.add(stamp, field, up.direction, up.variance, heading.yaw)
         if self._north is None:
             self._begin(measured, heading)
             return
@@ -199,7 +199,7 @@ class FusedYaw:
         if self.field_jump is not None:
             level_field = self._level_field(stamp, field, up, then)
             self.field_jump.add(level_field, since / FUSION.moving_tau)
-        if is_new:
+        if detector.is_accepted:
             self._filter.add_variance(innovation**2)
         elif detector.use is FieldUse.IGNORED:
             self._contradicted_seconds = 0.0
@@ -363,11 +363,11 @@ class FusedYaw:
         if is_overruled:
             following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0
-        excess = max(1.0, self.detector.deviation**4)
         noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
-        noise += bent * (excess - 1.0) * FUSION.moving_tau / seconds
+        noise += self.detector.yaw_variance * FUSION.moving_tau / seconds
         noise *= max(1.0, contradiction)
-        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, contradiction) * excess
+        momentary = by_tilt + heading.noise_variance + bent + self.detector.yaw_variance
+        momentary *= max(1.0, contradiction)
         spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:

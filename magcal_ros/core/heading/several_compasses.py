@@ -112,7 +112,9 @@ class _CompassState:
         assert self.reading is not None
         assert self.reading.up is not None
         field, up = self.reading.field, self.reading.up
-        self.extra_variance = self.deviation.add(stamp, field, up.direction, up.variance, turned)
+        self.extra_variance = self.deviation.add(
+            stamp, field, up.direction, up.variance, turned=turned
+        )
 
     @property
     def heading(self) -> Heading:

@@ -76,8 +76,8 @@ class RestTuning:
 
     doubtful_rate: float = 0.01
     """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
-    sure: float = 7.0  # log odds from which a steady force points up
-    acceleration_lasts: float = 0.25  # correlation time of a constant acceleration, seconds
+    sure: float = 6.5  # log odds from which a steady force points up
+    acceleration_lasts: float = 0.2  # correlation time of a constant acceleration, seconds
     learns_after: float = 1.0  # seconds of a rest from which bias and length at rest are learnt
     agrees: float = 0.01  # sigma of up in a shaken rest, radians
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
