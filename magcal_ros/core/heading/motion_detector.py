@@ -15,19 +15,13 @@ class MotionDetectorTuning:
 
     rate: float = 0.03  # rad/s from which it turns
     speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
-    turning: float = 0.1  # rad/s from which it certainly turns to one side
-    slow: float = 0.05  # m/s below which it is about to stop; the same for twice `rate`
     edge: float = 0.1  # seconds after a start or stop in which the state of motors is unknown
-    slowing: float = 0.3  # the same after the robot became slow
-    settles: float = 0.7  # seconds at rest after which the current is that of rest
     idle: float = 5.0  # seconds over which the current at rest is averaged
     body_length: float = 4.0  # correlation time of the motors' residual field, seconds
     unseen: float = 0.1
-    unseen_spread: float = 1.0
-    """Relative residual of the motors' field along the field by the inputs: median, and standard
-    deviation of the natural logarithm. Without reported currents, those of wheels vary by a fifth
-    to a third, with the floor and in curves; a field that is switched with the motors hardly
-    varies."""
+    """Relative residual of the motors' field along the field by the inputs, median. Without
+    reported currents, those of wheels vary by a fifth to a third, with the floor and in curves; a
+    field that is switched with the motors hardly varies."""
     unseen_time: float = 300.0  # correlation time of this ratio, seconds of motion
     late_share: float = 0.03  # fraction of the time in which motors start or stop undetected
     longest: float = 0.5  # longest such time, seconds
@@ -42,8 +36,7 @@ class MotionDetector:
 
     def __init__(self) -> None:
         self._moves: bool | None = None
-        self._is_slow = True
-        self._since = self._slow_since = -math.inf
+        self._since = -math.inf
         self._stamp = self._idle = math.nan
         self.newest = MotorState(0.5, math.nan, math.nan, math.nan, math.nan)
 
@@ -86,16 +79,11 @@ class MotionDetector:
             # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
-        is_slow = turns < 2.0 * MOTION.rate and drives < MOTION.slow
-        if is_slow and not self._is_slow:
-            self._slow_since = stamp
-        self._is_slow = is_slow
         is_edge = 0.0 <= stamp - self._since < MOTION.edge
-        is_edge = is_edge or (moves is True and 0.0 <= stamp - self._slow_since < MOTION.slowing)
         share = 0.5 if moves is None or is_edge else float(moves)
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
-        side = max(-1.0, min(1.0, turn_rate / MOTION.turning))
+        side = max(-1.0, min(1.0, turn_rate / MOTION.rate))
         if is_edge and moves is False:
             # Just after a turn, its motors may still run.
             side = self.newest.side
@@ -105,7 +93,7 @@ class MotionDetector:
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
         """Return a current minus that at rest, which is updated at rest."""
-        rests = moves is False and self._stamp - self._since > MOTION.settles
+        rests = moves is False and self._stamp - self._since > MOTION.edge
         if rests and not math.isnan(current):
             share = min(max(seconds, 0.0) / MOTION.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle

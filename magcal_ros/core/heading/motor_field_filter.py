@@ -34,10 +34,7 @@ class PlaceFieldTuning:
     """How the field of a place changes in the axes of a robot."""
 
     field: float = 100.0  # prior sigma of the field before the first sample, µT
-    street: float = 1.0
-    street_spread: float = 1.0
-    """Size of the local disturbance, µT per axis: median, and standard deviation of the natural
-    logarithm (as of the unknown "street")."""
+    street: float = 1.0  # size of the local disturbance, µT per axis, median
     passing: float = 0.03  # random walk of the field at rest, µT per root second
     latency: float = 0.01  # seconds between gyro and field
     beside: float = 0.15  # distance of the magnetometer from the pivot, metres
@@ -72,16 +69,14 @@ class PlaceFieldTuning:
 PLACE_FIELD = PlaceFieldTuning()
 
 
-def _log_normal(median: float, spread: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return sizes on a grid of the logarithm, and their prior odds."""
-    odds = np.exp(-0.5 * (steps / spread) ** 2)
+def _log_normal(median: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sizes on a grid of the natural logarithm, whose sigma is one, and their prior odds."""
+    odds = np.exp(-0.5 * steps**2)
     return median * np.exp(steps), odds / odds.sum()
 
 
-_SHARES, _SHARE_ODDS = _log_normal(MOTION.unseen, MOTION.unseen_spread, np.linspace(-1.5, 2, 6))
-_STREETS, _STREET_ODDS = _log_normal(
-    PLACE_FIELD.street, PLACE_FIELD.street_spread, np.linspace(-1.2, 1.2, 3)
-)
+_SHARES, _SHARE_ODDS = _log_normal(MOTION.unseen, np.linspace(-1.5, 2, 6))
+_STREETS, _STREET_ODDS = _log_normal(PLACE_FIELD.street, np.linspace(-1.2, 1.2, 3))
 UNSEEN, STREET = (each.ravel() for each in np.meshgrid(_SHARES, _STREETS))
 """Tried pairs: relative residual of the motors' field, and size of the local disturbance, µT."""
 ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()

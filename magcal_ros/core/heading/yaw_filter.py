@@ -22,9 +22,10 @@ class FusionTuning:
 
     bias_sigma: float = 0.001  # least sigma of the remaining bias about up, rad/s
     rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
-    rest_spread: float = 1.5  # sigma of the natural logarithm: wheels stand, boats swing
     rest_time: float = 10.0  # correlation time of this turn rate, seconds
-    angle_walk_spread: float = 1.5  # sigma of the logarithm of a gyro's random walk over the usual
+    spread: float = 1.5
+    """Standard deviation of the natural logarithm of three sizes: of this turn rate (wheels stand,
+    boats swing), of a gyro's random walk over the usual one, and of `heading_error_time`."""
     tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
     noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
     small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
@@ -38,9 +39,8 @@ class FusionTuning:
     beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
     heading_error_time: float = 1.0
-    error_time_spread: float = 1.5
-    """Correlation time of the error of such a heading, seconds: median, and standard deviation of
-    the natural logarithm. Noise is white, reflections last for a minute."""
+    """Correlation time of the error of such a heading, seconds, median. Noise is white, reflections
+    last for a minute."""
     heading_drift: float = 7e-4  # rad/s per root second: .3°/s within a minute
     """Random walk of the drift rate of such headings, by reflections or a wrong ambiguity. It looks
     like a random walk of the gyro's bias."""
@@ -246,7 +246,7 @@ class GyroDrift:
     """
 
     def __init__(self) -> None:
-        spread = FUSION.angle_walk_spread
+        spread = FUSION.spread
         first, second, third, fourth, kinds = (
             each.ravel()
             for each in np.meshgrid(
@@ -259,10 +259,8 @@ class GyroDrift:
         )
         self._walks: FloatArray = (GYRO.bias_walk * np.exp(GYRO.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
-        self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
-        self._lasts: FloatArray = FUSION.heading_error_time * np.exp(
-            FUSION.error_time_spread * fourth
-        )
+        self._turns: FloatArray = (FUSION.rest_turn * np.exp(spread * third)) ** 2
+        self._lasts: FloatArray = FUSION.heading_error_time * np.exp(spread * fourth)
         kind = kinds.astype(int)
         self._drift_walks: FloatArray = (
             np.array([0.0, FUSION.heading_drift, GYRO.usual_bias_walk])[kind] ** 2

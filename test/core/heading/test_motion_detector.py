@@ -71,11 +71,11 @@ def test_beyond_a_reference_a_current_at_rest_counts_too():
     assert not found.are_on
 
 
-def test_the_state_of_a_robot_about_to_stop_is_uncertain():
+def test_the_state_of_a_robot_that_has_just_stopped_is_uncertain():
     sense = MotionDetector()
     speeds = [0.5] * 5 + [0.04] * 5 + [0.0] * 5
     found = [sense.at(0.04 * k, STILL, False, v, math.nan).moving for k, v in enumerate(speeds)]
-    assert found == [1.0] * 5 + [0.5] * 8 + [0.0] * 2
+    assert found == [1.0] * 10 + [0.5] * 3 + [0.0] * 2
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
