@@ -28,9 +28,15 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import FieldDeviation, FieldUse
+from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation, FieldUse
 from magcal_ros.core.heading.field_jump import FieldJump, LevelField
-from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter, errors_of
+from magcal_ros.core.heading.yaw_filter import (
+    FUSION,
+    UNKNOWN_YAW,
+    GyroDrift,
+    YawFilter,
+    errors_of,
+)
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up.filter import GYRO
@@ -205,7 +211,7 @@ class FusedYaw:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
-                missing = FUSION.unknown**2 - self._filter.yaw_variance
+                missing = UNKNOWN_YAW - self._filter.yaw_variance
                 self._filter.add_variance(max(0.0, missing))
             return
         if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
@@ -349,10 +355,9 @@ class FusedYaw:
     ) -> bool:
         """Correct yaw and bias by the innovation; return whether the field overrules the yaw."""
         following = self._filter
-        bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
-        by_noise = heading.noise_variance + FUSION.small_iron * bent
-        spread = following.spread(by_tilt + by_noise, compass)
+        by_noise = by_tilt + heading.noise_variance
+        spread = following.spread(by_noise, compass)
         contradiction = (innovation / CLEAR) ** 2 / spread
         is_good = self.detector.use is FieldUse.GOOD
         clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
@@ -363,13 +368,11 @@ class FusedYaw:
         if is_overruled:
             following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0
-        noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
-        noise += self.detector.yaw_variance * FUSION.moving_tau / seconds
-        noise *= max(1.0, contradiction)
-        momentary = by_tilt + heading.noise_variance + bent + self.detector.yaw_variance
-        momentary *= max(1.0, contradiction)
+        disturbed, larger = self.detector.yaw_variance, max(1.0, contradiction)
+        noise = larger * (by_noise * FUSION.noise_tau + disturbed * FUSION.moving_tau) / seconds
+        momentary = larger * (by_noise + disturbed + self._disturbance_variance)
         spread = following.known_spread(noise)
-        share = min(1.0, seconds / FUSION.noise_tau)
+        share = min(1.0, seconds / DISTURBANCE.memory)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
             # Errors by tilt are common to both: if the present compass is better, a mean is not.
             following.follow(share, momentary, compass)

@@ -26,9 +26,7 @@ class FusionTuning:
     spread: float = 1.5
     """Standard deviation of the natural logarithm of three sizes: of this turn rate (wheels stand,
     boats swing), of a gyro's random walk over the usual one, and of `heading_error_time`."""
-    tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
-    noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
-    small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
+    noise_tau: float = 3.0  # correlation time of errors by tilt and by the field's noise, seconds
     moving_tau: float = 20.0
     """Correlation time of the disturbance of a moving robot, seconds. The correlation length of
     streets is 25 to 30 m: 4 s in a car and 37 s at walking pace. Too short a time would make the
@@ -51,7 +49,6 @@ class FusionTuning:
     integrated_rate: float = 2e-3  # rad/s, usual bias of a gyro that a device integrates
     integrated_odds: float = 0.01  # prior odds of such a device
     heading_gate: float = 4.0  # largest normalised innovation of a heading
-    unknown: float = 0.5  # sigma of the yaw after a start in a disturbed field, radians
     start: float = 5.0  # seconds from the start in which a disturbance may still be detected
 
 
