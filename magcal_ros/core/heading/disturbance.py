@@ -18,8 +18,6 @@ class DisturbanceTuning:
     """How a disturbed field is detected, and how far it may turn the yaw."""
 
     strength: float = 0.02  # relative sigma of a good field's strength from place to place
-    noise_share: float = 2.0  # sigmas of the calibration's field noise that are added to both
-    believed_below: float = 2.0  # sigmas below which an ignored field is used again
     memory: float = 0.3  # seconds over which strength and dip are averaged
     amplitude: float = 0.01
     """Prior size of the local disturbance per axis, over the field's strength: 0.5 µT, as on open
@@ -89,8 +87,8 @@ class FieldDeviation:
         # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
         self._calibrated = self._expected = max(calibration.strength, 1e-9), calibration.inclination
-        noise = (DISTURBANCE.noise_share * calibration.noise_field) ** 2
-        self._noise = (noise + field_variance(calibration)) / self._calibrated[0] ** 2
+        noise = calibration.noise_field**2 + field_variance(calibration)
+        self._noise = noise / self._calibrated[0] ** 2
         self._mean = self._calibrated
         self._stamp = -math.inf
         self._mean_excess = self._seconds = 0.0
@@ -195,9 +193,9 @@ class FieldDeviation:
         return self._variances(0.0)[0]
 
     def _judge(self) -> FieldUse:
-        # Hysteresis, so that a field at the limit is not used intermittently.
+        # A sigma of hysteresis, so that a field at the limit is not used intermittently.
         was_ignored = self.use is FieldUse.IGNORED
-        if self.deviation >= (DISTURBANCE.believed_below if was_ignored else CLEAR):
+        if self.deviation >= CLEAR - was_ignored:
             return FieldUse.IGNORED
         return FieldUse.GOOD if self.deviation <= 1.0 else FieldUse.WEIGHED_DOWN
 
