@@ -150,9 +150,8 @@ class BaseHeading:
     def heading(self, imu_heading: Heading) -> Heading:
         """Return the base's heading.
 
-        Both attitudes share one small error in world axes; `Compass.heading` gives its effect on
-        roll, pitch and yaw. The components about east and north follow from the covariances, and
-        have another effect in the base's axes. The component about up is the same for both.
+        Both attitudes share one small error in world axes. Its components about east and north have
+        another effect in the base's axes; that about up is the same for both.
         """
         if self._is_imu:
             return imu_heading
@@ -161,39 +160,24 @@ class BaseHeading:
         ).tolist()
         forward, left, top = self._forward, self._left, self._up
         fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
-        yaw = math.atan2(fn, fe)
         roll = math.atan2(dot(up, left), dot(up, top))
         pitch = -math.asin(min(1.0, max(-1.0, fu)))
-        level = max(fe * fe + fn * fn, SMALLEST_FORWARD)
-        tilt = imu_heading.tilt_variance
-        by_east, by_north = _by_tilt(imu_heading)
+        tilt, by_east, by_north = (
+            imu_heading.tilt_variance,
+            imu_heading.by_east,
+            imu_heading.by_north,
+        )
         rest = imu_heading.yaw_variance - tilt * (by_east * by_east + by_north * by_north)
-        was = max(east[0] * east[0] + north[0] * north[0], SMALLEST_FORWARD)
-        if imu_heading.roll_yaw or imu_heading.pitch_yaw:
+        if by_east or by_north:
+            level = max(fe * fe + fn * fn, SMALLEST_FORWARD)
+            was = max(east[0] * east[0] + north[0] * north[0], SMALLEST_FORWARD)
             by_east += east[0] * up[0] / was - fe * fu / level
             by_north += north[0] * up[0] / was - fn * fu / level
-        cosine, sine = math.cos(yaw), math.sin(yaw)
+        variance = rest + tilt * (by_east * by_east + by_north * by_north)
+        of_compass = imu_heading.noise_variance, imu_heading.lasting_variance
         return Heading(
-            roll,
-            pitch,
-            yaw,
-            tilt,
-            rest + tilt * (by_east * by_east + by_north * by_north),
-            tilt * (by_east * cosine + by_north * sine) / math.sqrt(level),
-            tilt * (by_north * cosine - by_east * sine),
-            imu_heading.noise_variance,
-            imu_heading.lasting_variance,
+            roll, pitch, math.atan2(fn, fe), tilt, variance, by_east, by_north, *of_compass
         )
-
-
-def _by_tilt(imu_heading: Heading) -> tuple[float, float]:
-    """Return the yaw error by an error about east and about north."""
-    if imu_heading.tilt_variance <= 0.0:
-        return 0.0, 0.0
-    by_roll = imu_heading.roll_yaw * math.cos(imu_heading.pitch) / imu_heading.tilt_variance
-    by_pitch = imu_heading.pitch_yaw / imu_heading.tilt_variance
-    cosine, sine = math.cos(imu_heading.yaw), math.sin(imu_heading.yaw)
-    return by_roll * cosine - by_pitch * sine, by_roll * sine + by_pitch * cosine
 
 
 def corrected_pose(

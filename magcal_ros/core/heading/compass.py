@@ -38,8 +38,8 @@ class Heading(NamedTuple):
     yaw: float  # ENU, to magnetic north
     tilt_variance: float  # of up in either direction; roll's is over cos² pitch
     yaw_variance: float
-    roll_yaw: float  # covariance by an error of tilt
-    pitch_yaw: float  # the same
+    by_east: float  # yaw error by an error of up about east
+    by_north: float  # the same about north
     noise_variance: float = 0.0  # part of the yaw's variance by white noise of the sample
     lasting_variance: float = 0.0  # part of the yaw's variance by the calibration
     # (13,): yaw error (radians) by each of thirteen independent unit errors; the last is constant
@@ -55,9 +55,11 @@ class Heading(NamedTuple):
         `north_variance` is the variance of the direction of north, rad²: that of the declination
         for true north.
         """
-        t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
-        roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
-        return (roll, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance + north_variance)
+        t, cosine, sine = self.tilt_variance, math.cos(self.yaw), math.sin(self.yaw)
+        forward = max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
+        ry = t * (self.by_east * cosine + self.by_north * sine) / math.sqrt(forward)
+        py = t * (self.by_north * cosine - self.by_east * sine)
+        return (t / forward, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance + north_variance)
 
 
 def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
@@ -203,10 +205,7 @@ class Compass:
         noise, other = float(g @ new @ g), float(g @ passing @ g)
         lasting = float(errors @ errors)
         variance += lasting + noise + other
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
-        pitch_yaw = tilt * (by_north * cosine - by_east * sine)
-        own = variance, roll_yaw, pitch_yaw, noise, lasting, (*errors.tolist(), 0.0)
+        own = variance, by_east, by_north, noise, lasting, (*errors.tolist(), 0.0)
         return Heading(roll, pitch, yaw, tilt, *own)
 
 
