@@ -6,21 +6,18 @@ the robot and the Earth's field does not: the next turn decides.
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import dataclass
-
-from magcal_ros.core.geometry.vec3 import Triple, dot, minus, plus, propagated, scaled
+from typing import NamedTuple
 
 MOST = 30.0  # largest log odds
 
 
-@dataclass(frozen=True)
-class LevelField:
-    """The level field at a moment, and that of the Earth by the overruled yaw."""
+class LevelField(NamedTuple):
+    """The level field at a moment against that of the Earth by the overruled yaw."""
 
-    measured: Triple  # level part of the corrected field, tesla, body axes
-    north: Triple  # level unit vector, by the gyro alone since the yaw was overruled
-    up: Triple
+    measured: complex  # tesla; its phase is the yaw by the field minus that by the gyro alone
+    yaw: float  # by the gyro alone since the yaw was overruled, radians
     level: float  # level field of the Earth, tesla
     variance: float  # of the field by places and the gyro, per axis, tesla²
 
@@ -28,28 +25,22 @@ class LevelField:
 class FieldJump:
     """Two hypotheses of a field that turned by `angle` radians against the gyro at `stamp`."""
 
-    def __init__(
-        self, stamp: float, angle: float, level_field: LevelField, log_odds: float = 0.0
-    ) -> None:
+    def __init__(self, stamp: float, angle: float, seen: LevelField, log_odds: float = 0.0) -> None:
         self.stamp, self.angle = stamp, angle
         self._log_odds = log_odds  # of iron against a yaw that was wrong
-        self._iron = minus(level_field.measured, scaled(level_field.north, level_field.level))
+        self._iron = (seen.measured - seen.level) * cmath.rect(1.0, seen.yaw)  # on the robot
 
     @property
     def variance(self) -> float:
         """Variance of the yaw that follows the field, rad²: with iron its error is `angle`."""
         return self.angle**2 / (1.0 + math.exp(-self._log_odds))
 
-    def add(self, level_field: LevelField, share: float) -> None:
+    def add(self, seen: LevelField, share: float) -> None:
         """Add a measurement that counts as a fraction of an independent measurement."""
-        by_iron = plus(scaled(level_field.north, level_field.level), self._iron)
-        turned = propagated(level_field.north, scaled(level_field.up, self.angle))
-        by_earth = scaled(turned, level_field.level)
-        off_iron, off_earth = (minus(level_field.measured, each) for each in (by_iron, by_earth))
+        off_iron = abs(seen.measured - seen.level - self._iron * cmath.rect(1.0, -seen.yaw))
+        off_earth = abs(seen.measured - cmath.rect(seen.level, self.angle))
         # A Cauchy distribution in the level plane: passing iron must not decide.
-        ratio = (level_field.variance + dot(off_earth, off_earth)) / (
-            level_field.variance + dot(off_iron, off_iron)
-        )
+        ratio = (seen.variance + off_earth**2) / (seen.variance + off_iron**2)
         odds = self._log_odds + share * 1.5 * math.log(ratio)
         self._log_odds = max(-MOST, min(MOST, odds))
 

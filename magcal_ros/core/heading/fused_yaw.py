@@ -8,6 +8,7 @@ correlated over tens of metres: the samples of a second count as one.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
 from typing import NamedTuple
@@ -202,9 +203,9 @@ class FusedYaw:
             # A compass that is calibrated by headings adds no information to them.
             self.field_jump = None
             return
+        seen = stamp, dot(field, measured), heading.yaw, yaw_gap + then.shift
         if self.field_jump is not None:
-            level_field = self._level_field(stamp, field, up, then)
-            self.field_jump.add(level_field, since / FUSION.moving_tau)
+            self.field_jump.add(self._level_field(*seen), since / FUSION.moving_tau)
         if detector.is_accepted:
             self._filter.add_variance(innovation**2)
         elif detector.use is FieldUse.IGNORED:
@@ -216,7 +217,7 @@ class FusedYaw:
             return
         if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
             self._jump_shift = then.shift
-            level_field, before = self._level_field(stamp, field, up, then), self.field_jump
+            level_field, before = self._level_field(*seen), self.field_jump
             variance = self._filter.known_spread(self._by_tilt(heading) + heading.noise_variance)
             odds = 0.0 if before is None else before.after(innovation, variance)
             self.field_jump = FieldJump(stamp, innovation, level_field, odds)
@@ -339,16 +340,17 @@ class FusedYaw:
         own = heading.noise_variance + heading.lasting_variance
         return max(0.0, heading.yaw_variance - own)
 
-    def _level_field(self, stamp: float, field: Triple, up: Up, then: _YawRecord) -> LevelField:
-        """Return the level field, and the Earth's by the yaw before the jump."""
-        axis, since = up.direction, then.shift - self._jump_shift
-        north = propagated(then.north, scaled(axis, -since))
-        level = self._strength * math.sqrt(self._level_share)
+    def _level_field(self, stamp: float, level: float, yaw: float, gap: float) -> LevelField:
+        """Return the level field by the yaw before the jump.
+
+        `level` is the size of the measured one, tesla, `yaw` that of the compass, and `gap` its
+        difference from the yaw before all corrections, radians.
+        """
+        expected, gap = self._strength * math.sqrt(self._level_share), gap - self._jump_shift
         seconds = 0.0 if self.field_jump is None else stamp - self.field_jump.stamp
         drifted = self._filter.bias_variance * seconds**2
-        variance = self._strength**2 * self.detector.usual_variance + level**2 * drifted
-        measured = minus(field, scaled(axis, dot(field, axis)))
-        return LevelField(measured, north, axis, level, variance)
+        variance = self._strength**2 * self.detector.usual_variance + expected**2 * drifted
+        return LevelField(cmath.rect(level, gap), yaw - gap, expected, variance)
 
     def _correct(
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
