@@ -362,10 +362,8 @@ class FusedYaw:
         spread = following.spread(by_noise, compass)
         contradiction = (innovation / CLEAR) ** 2 / spread
         is_good = self.detector.use is FieldUse.GOOD
-        clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
-        self._contradicted_seconds = (
-            max(0.0, self._contradicted_seconds + clear * seconds) if is_good else 0.0
-        )
+        more = self._contradicted_seconds + min(contradiction - 1.0, 1.0) * seconds
+        self._contradicted_seconds = max(0.0, more) if is_good else 0.0
         is_overruled = self._contradicted_seconds > FUSION.contradicted_after
         if is_overruled:
             following.add_variance(innovation**2)

@@ -34,7 +34,6 @@ class FusionTuning:
     standing_tau: float = 300.0  # the same at rest
     learning_step: float = 0.1  # seconds between updates of the disturbance
     contradicted_after: float = 3.0  # seconds of disagreement after which a good field overrules
-    beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
     heading_error_time: float = 1.0
     """Correlation time of the error of such a heading, seconds, median. Noise is white, reflections

@@ -41,7 +41,9 @@ class FilterTuning:
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
     given_acceleration: float = 0.03  # g, the same if the acceleration is measured
     given_speed: float = 0.5  # m/s, the same
-    acceleration_lasts: float = 2.0  # correlation time, seconds: vehicles accelerate for 2 to 5 s
+    acceleration_lasts: float = 2.0
+    """Correlation time of an acceleration, and of the sway of a rolling robot, seconds: vehicles
+    accelerate for 2 to 5 s."""
     speed_lasts: float = 20.0  # correlation time, seconds: from street corner to street corner
     floor: float = 2e-3
     """g. Error of the accelerometer that no averaging removes, and least acceleration of a robot at
@@ -78,13 +80,10 @@ class RestTuning:
     """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
     sure: float = 6.5  # log odds from which a steady force points up
     acceleration_lasts: float = 0.2  # correlation time of a constant acceleration, seconds
-    learns_after: float = 1.0  # seconds of a rest from which bias and length at rest are learnt
-    agrees: float = 0.01  # sigma of up in a shaken rest, radians
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
     alike: float = 2.0  # sigmas of the noise that are allowed in addition
     length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
-    sways: float = 2.0  # correlation time of the sway of a rolling robot, seconds
     level_share: float = 0.05
     """Least fraction of the raw field that rotates with the robot: a turn by an angle changes the
     field by more than this fraction of the angle."""
@@ -92,7 +91,7 @@ class RestTuning:
     shaken_force: float = 0.007
     shaken_field: float = 0.012
     """Largest deviations of means over a second, from the mean of a rest, while an engine shakes
-    the robot: g, and fraction of the raw field."""
+    the robot: g, and fraction of the raw field. The first is also the sigma of up then."""
     shaken_sigma: float = math.radians(0.1)  # rad/s per axis across up, least sigma of its bias
 
 

@@ -166,7 +166,7 @@ class GyroPropagation:
         following.observe_force(innovation, self._noise / block.messages, turning)
         if not self.is_settled:
             self._settle(ambiguous_rate, noise)
-        elif self._steady.seconds > REST.learns_after:
+        else:
             self._learn(means, ambiguous_rate, noise)
         self._look_for_shaken_rest(means)
         self._take_over()
@@ -196,7 +196,7 @@ class GyroPropagation:
         axis = None if ambiguous_rate == 0.0 else np.array(unit_triple(interval.force))
         white = self._rate_noise / means.messages
         # A rolling robot sways more slowly than a block: the mean of a block still contains sway.
-        sway = max(0.0, interval.sway - white) * REST.sways / means.seconds
+        sway = max(0.0, interval.sway - white) * FILTER.acceleration_lasts / means.seconds
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._at_rest = (means.rate, white + sway) if axis is None else None
         self._rest = length(interval.force)
@@ -216,8 +216,8 @@ class GyroPropagation:
         # A slow turn about up could change the field by no more than passing vehicles do.
         following.admit_bias(rate)
         following.observe_bias(rate, variance, unit(force))
-        if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.agrees:
-            following.begin(force, REST.agrees**2, 0.0, self._motion(True))
+        if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.shaken_force:
+            following.begin(force, REST.shaken_force**2, 0.0, self._motion(True))
             following.forget_motion(self._motion())
 
     def _settle(self, ambiguous_rate: float | None, noise: float) -> None:
