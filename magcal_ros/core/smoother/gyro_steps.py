@@ -7,7 +7,6 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray, trapezoids
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.follower import unseen_angles
 
 
 def gyro_steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -45,13 +44,13 @@ def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]
         # Band-limited interpolation would extrapolate sway into a gap.
         hole = np.flatnonzero(np.diff(time) > SWAY)
         steps[hole] = trapezoids(time, rate)[hole]
-        unseen[hole] = unseen_angles(time, rate)[hole]
+        unseen[hole] = _unseen_angles(time, rate)[hole]
         return steps, unseen
     bend, twist = np.zeros_like(rate), np.zeros_like(rate)
     bend[1:-1] = np.diff(rate, 2, axis=0)
     twist[2:-2] = np.diff(rate, 4, axis=0)
     value = rate - bend / 12.0 + twist * (11.0 / 720.0)
-    return trapezoids(time, value), unseen_angles(time, rate)
+    return trapezoids(time, value), _unseen_angles(time, rate)
 
 
 def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,3 +74,18 @@ def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, Float
     power[1:-1] = np.diff(rate, 2, axis=0) ** 2 / 6.0
     unseen = 0.5 * missed[:, None] * (power[:-1] + power[1:])
     return np.einsum("nj,njk->nk", weights, rate[rows]), unseen
+
+
+def _unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the variances of the angles between samples, radians², shape (n - 1, 3).
+
+    Between slow samples, a body may sway as much as from sample to sample. The variance is exact if
+    the samples show only sway that is too fast for them, and so looks like white noise.
+
+    `time` (n,) is in seconds, `rate` (n, 3) in rad/s.
+    """
+    step = np.diff(time)[:, None]
+    square = np.zeros_like(rate)
+    square[1:-1] = np.diff(rate, 2, axis=0) ** 2
+    share = np.minimum(step / SWAY, 1.0) ** 4
+    return np.asarray(share * step**2 * (square[:-1] + square[1:]) / 24.0)

@@ -83,7 +83,7 @@ class RestTuning:
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
     alike: float = 2.0  # sigmas of the noise that are allowed in addition
-    length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
+    length_floor: float = 3e-4  # g, least sigma of the accelerometer's length at rest
     level_share: float = 0.05
     """Least fraction of the raw field that rotates with the robot: a turn by an angle changes the
     field by more than this fraction of the angle."""

@@ -23,26 +23,11 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, DeadAxes
-
-
-def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the variances of the angles between samples, radians², shape (n - 1, 3).
-
-    Between slow samples, a body may sway as much as from sample to sample. The variance is exact if
-    the samples show only sway that is too fast for them, and so looks like white noise.
-
-    `time` (n,) is in seconds, `rate` (n, 3) in rad/s.
-    """
-    step = np.diff(time)[:, None]
-    square = np.zeros_like(rate)
-    square[1:-1] = np.diff(rate, 2, axis=0) ** 2
-    share = np.minimum(step / SWAY, 1.0) ** 4
-    return np.asarray(share * step**2 * (square[:-1] + square[1:]) / 24.0)
 
 
 def propagated_up(window: Window) -> FloatArray:

@@ -166,7 +166,7 @@ class GyroPropagation:
         following.observe_force(innovation, self._noise / block.messages, turning)
         if not self.is_settled:
             self._settle(ambiguous_rate, noise)
-        else:
+        elif self._steady.seconds > PROPAGATION.memory:
             self._learn(means, ambiguous_rate, noise)
         self._look_for_shaken_rest(means)
         self._take_over()

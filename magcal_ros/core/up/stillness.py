@@ -148,7 +148,10 @@ class SteadyInterval:
         if size <= 0.0 or up_size <= 0.0:
             return -math.inf
         white = noise * noise / self.count
-        across, along = tilt_variance + white, REST.length_floor**2 + length_at_rest[1] ** 2 + white
+        across, along = (
+            tilt_variance + white,
+            length_at_rest[1] ** 2 + white,
+        )
         jump = distance(scaled(self.force, 1.0 / size), scaled(up, 1.0 / up_size)) ** 2
         # By the jump of its direction, an acceleration is normal, and its square lengthens a force.
         moving = across + FILTER.usual_acceleration**2
