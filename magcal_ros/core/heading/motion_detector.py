@@ -1,4 +1,4 @@
-"""Detection of motion, and the inputs of the motors' field."""
+"""Whether the motors run, by gyro, wheels and rests, and the inputs of their field."""
 
 from __future__ import annotations
 
