@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation, FieldUse
+from magcal_ros.core.heading.disturbance import FieldDeviation, FieldUse
 from magcal_ros.core.heading.field_jump import FieldJump, LevelField
 from magcal_ros.core.heading.yaw_filter import (
     FUSION,
@@ -369,10 +369,11 @@ class FusedYaw:
             following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0
         disturbed, larger = self.detector.yaw_variance, max(1.0, contradiction)
-        noise = larger * (by_noise * FUSION.noise_tau + disturbed * FUSION.moving_tau) / seconds
+        noise = by_tilt * FUSION.tilt_tau + heading.noise_variance * FUSION.noise_tau
+        noise = larger * (noise + disturbed * FUSION.moving_tau) / seconds
         momentary = larger * (by_noise + disturbed + self._disturbance_variance)
         spread = following.known_spread(noise)
-        share = min(1.0, seconds / DISTURBANCE.memory)
+        share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
             # Errors by tilt are common to both: if the present compass is better, a mean is not.
             following.follow(share, momentary, compass)

@@ -26,7 +26,8 @@ class FusionTuning:
     spread: float = 1.5
     """Standard deviation of the natural logarithm of three sizes: of this turn rate (wheels stand,
     boats swing), of a gyro's random walk over the usual one, and of `heading_error_time`."""
-    noise_tau: float = 3.0  # correlation time of errors by tilt and by the field's noise, seconds
+    tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
+    noise_tau: float = 0.5  # the same for the field's noise
     moving_tau: float = 20.0
     """Correlation time of the disturbance of a moving robot, seconds. The correlation length of
     streets is 25 to 30 m: 4 s in a car and 37 s at walking pace. Too short a time would make the
