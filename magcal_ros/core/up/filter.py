@@ -78,8 +78,8 @@ class RestTuning:
 
     doubtful_rate: float = 0.01
     """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
-    sure: float = 6.5  # log odds from which a steady force points up
-    acceleration_lasts: float = 0.2  # correlation time of a constant acceleration, seconds
+    sure: float = 7.0  # log odds from which a steady force points up
+    acceleration_lasts: float = 0.18  # correlation time of a constant acceleration, seconds
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
     alike: float = 2.0  # sigmas of the noise that are allowed in addition

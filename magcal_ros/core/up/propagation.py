@@ -232,7 +232,7 @@ class GyroPropagation:
             return
         up: Triple = tuple(following.up.tolist())
         rest = self._rest, self._rest_sigma
-        evidence = interval.evidence(up, tilt_variance, rest, noise)
+        evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
         if evidence + interval.seconds / REST.acceleration_lasts < REST.sure:
             return
         self.is_settled = True

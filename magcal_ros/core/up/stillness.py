@@ -28,7 +28,7 @@ from magcal_ros.core.geometry.vec3 import (
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import TUNING as RESTED
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.up.filter import CHECK, FILTER, REST
+from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:
@@ -136,13 +136,18 @@ class SteadyInterval:
         return False
 
     def evidence(
-        self, up: Triple, tilt_variance: float, length_at_rest: tuple[float, float], noise: float
+        self,
+        up: Triple,
+        tilt_variance: float,
+        length_at_rest: tuple[float, float],
+        noise: float,
+        acceleration: float,
     ) -> float:
         """Return the log likelihood ratio of a force that points up, against an acceleration.
 
         `up` (g) is the propagated one, with the variance of its direction, rad². `length_at_rest`
         is that of the accelerometer and its sigma, g, and `noise` the sigma of one message's force
-        per axis.
+        per axis. `acceleration` is the prior sigma of one, g per axis.
         """
         size, up_size = length(self.force), length(up)
         if size <= 0.0 or up_size <= 0.0:
@@ -154,8 +159,8 @@ class SteadyInterval:
         )
         jump = distance(scaled(self.force, 1.0 / size), scaled(up, 1.0 / up_size)) ** 2
         # By the jump of its direction, an acceleration is normal, and its square lengthens a force.
-        moving = across + FILTER.usual_acceleration**2
-        share = FILTER.usual_acceleration**2 / moving
+        moving = across + acceleration**2
+        share = acceleration**2 / moving
         square, spread = share * share * jump, share * across
         excess, longer = size - length_at_rest[0], 0.5 * square + spread
         loose = along + square * spread + spread * spread
