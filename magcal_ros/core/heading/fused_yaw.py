@@ -212,15 +212,14 @@ class FusedYaw:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
-                missing = UNKNOWN_YAW - self._filter.yaw_variance
-                self._filter.add_variance(max(0.0, missing))
+                self._filter.add_variance(max(0.0, UNKNOWN_YAW - self._filter.yaw_variance))
             return
         if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
             self._jump_shift = then.shift
-            level_field, before = self._level_field(*seen), self.field_jump
+            before = self.field_jump
             variance = self._filter.known_spread(self._by_tilt(heading) + heading.noise_variance)
             odds = 0.0 if before is None else before.after(innovation, variance)
-            self.field_jump = FieldJump(stamp, innovation, level_field, odds)
+            self.field_jump = FieldJump(stamp, innovation, self._level_field(*seen), odds)
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
@@ -359,8 +358,7 @@ class FusedYaw:
         following = self._filter
         by_tilt = self._by_tilt(heading)
         by_noise = by_tilt + heading.noise_variance
-        spread = following.spread(by_noise, compass)
-        contradiction = (innovation / CLEAR) ** 2 / spread
+        contradiction = (innovation / CLEAR) ** 2 / following.spread(by_noise, compass)
         is_good = self.detector.use is FieldUse.GOOD
         more = self._contradicted_seconds + min(contradiction - 1.0, 1.0) * seconds
         self._contradicted_seconds = max(0.0, more) if is_good else 0.0
