@@ -78,8 +78,11 @@ class RestTuning:
 
     doubtful_rate: float = 0.01
     """rad/s. A constant rate above this, beyond the known bias, may be a turn."""
-    sure: float = 7.0  # log odds from which a steady force points up
-    acceleration_lasts: float = 0.18  # correlation time of a constant acceleration, seconds
+    sure: float = 7.0
+    """Log odds from which a steady force points up: 3 (95%), as accelerations are far more frequent
+    than rests at the beginning of a steady force (prior log odds of -4)."""
+    constant_for: float = 0.18
+    """Seconds: in each such time, a constant acceleration ends with a probability of 63%."""
     loose: float = 0.0025  # g, largest change of a steady force in addition to noise
     loose_rate: float = 0.005  # rad/s, the same
     alike: float = 2.0  # sigmas of the noise that are allowed in addition

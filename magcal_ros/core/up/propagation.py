@@ -233,7 +233,7 @@ class GyroPropagation:
         up: Triple = tuple(following.up.tolist())
         rest = self._rest, self._rest_sigma
         evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
-        if evidence + interval.seconds / REST.acceleration_lasts < REST.sure:
+        if evidence + interval.seconds / REST.constant_for < REST.sure:
             return
         self.is_settled = True
         # A jump of up that the gyro does not show may be a long, constant acceleration.

@@ -145,7 +145,7 @@ class SteadyInterval:
     ) -> float:
         """Return the log likelihood ratio of a force that points up, against an acceleration.
 
-        `up` (g) is the propagated one, with the variance of its direction, rad². `length_at_rest`
+        The direction and the length of the mean force tell both apart. `up` (g) is the propagated one, with the variance of its direction, rad². `length_at_rest`
         is that of the accelerometer and its sigma, g, and `noise` the sigma of one message's force
         per axis. `acceleration` is the prior sigma of one, g per axis.
         """
@@ -153,10 +153,7 @@ class SteadyInterval:
         if size <= 0.0 or up_size <= 0.0:
             return -math.inf
         white = noise * noise / self.count
-        across, along = (
-            tilt_variance + white,
-            length_at_rest[1] ** 2 + white,
-        )
+        across, along = tilt_variance + white, length_at_rest[1] ** 2 + white
         jump = distance(scaled(self.force, 1.0 / size), scaled(up, 1.0 / up_size)) ** 2
         # By the jump of its direction, an acceleration is normal, and its square lengthens a force.
         moving = across + acceleration**2

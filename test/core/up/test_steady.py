@@ -18,7 +18,7 @@ def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
 
 def shows_up(found, tilt=0.03):
     odds = found.evidence(UP, tilt**2, (1.0, 5e-4), NOISE, 0.1)
-    return odds + found.seconds / REST.acceleration_lasts > REST.sure
+    return odds + found.seconds / REST.constant_for > REST.sure
 
 
 def test_a_tilt_keeps_the_length_of_the_force_and_is_soon_accepted():
