@@ -145,9 +145,10 @@ class SteadyInterval:
     ) -> float:
         """Return the log likelihood ratio of a force that points up, against an acceleration.
 
-        The direction and the length of the mean force tell both apart. `up` (g) is the propagated one, with the variance of its direction, rad². `length_at_rest`
-        is that of the accelerometer and its sigma, g, and `noise` the sigma of one message's force
-        per axis. `acceleration` is the prior sigma of one, g per axis.
+        Direction and length of the mean force tell both apart. `up` (g) is the propagated one, with
+        the variance of its direction, rad². `length_at_rest` is that of the accelerometer and its
+        sigma, g, and `noise` the sigma of one message's force per axis. `acceleration` is the prior
+        sigma of an acceleration, g per axis.
         """
         size, up_size = length(self.force), length(up)
         if size <= 0.0 or up_size <= 0.0:
