@@ -181,8 +181,7 @@ class FusedYaw:
         measured = levelled(field, up.direction)
         if measured is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
-        detector = self.detector
-        detector.add(stamp, field, up.direction, up.variance, heading.yaw)
+        self.detector.add(stamp, field, up.direction, up.variance, heading.yaw)
         if self._north is None:
             self._begin(measured, heading)
             return
@@ -206,9 +205,9 @@ class FusedYaw:
         seen = stamp, dot(field, measured), heading.yaw, yaw_gap + then.shift
         if self.field_jump is not None:
             self.field_jump.add(self._level_field(*seen), since / FUSION.moving_tau)
-        if detector.is_accepted:
+        if self.detector.is_accepted:
             self._filter.add_variance(innovation**2)
-        elif detector.use is FieldUse.IGNORED:
+        elif self.detector.use is FieldUse.IGNORED:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
@@ -355,21 +354,22 @@ class FusedYaw:
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
     ) -> bool:
         """Correct yaw and bias by the innovation; return whether the field overrules the yaw."""
-        following = self._filter
-        by_tilt = self._by_tilt(heading)
-        by_noise = by_tilt + heading.noise_variance
-        contradiction = (innovation / CLEAR) ** 2 / following.spread(by_noise, compass)
+        following, by_tilt = self._filter, self._by_tilt(heading)
+        bent = self._disturbance_variance
+        by_noise = heading.noise_variance + FUSION.small_iron * bent
+        contradiction = (innovation / CLEAR) ** 2 / following.spread(by_tilt + by_noise, compass)
         is_good = self.detector.use is FieldUse.GOOD
-        more = self._contradicted_seconds + min(contradiction - 1.0, 1.0) * seconds
-        self._contradicted_seconds = max(0.0, more) if is_good else 0.0
+        clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
+        more = max(0.0, self._contradicted_seconds + clear * seconds)
+        self._contradicted_seconds = more if is_good else 0.0
         is_overruled = self._contradicted_seconds > FUSION.contradicted_after
         if is_overruled:
             following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0
         disturbed, larger = self.detector.yaw_variance, max(1.0, contradiction)
-        noise = by_tilt * FUSION.tilt_tau + heading.noise_variance * FUSION.noise_tau
+        noise = by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau
         noise = larger * (noise + disturbed * FUSION.moving_tau) / seconds
-        momentary = larger * (by_noise + disturbed + self._disturbance_variance)
+        momentary = larger * (by_tilt + heading.noise_variance + disturbed + bent)
         spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:

@@ -27,7 +27,8 @@ class FusionTuning:
     """Standard deviation of the natural logarithm of three sizes: of this turn rate (wheels stand,
     boats swing), of a gyro's random walk over the usual one, and of `heading_error_time`."""
     tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
-    noise_tau: float = 0.5  # the same for the field's noise
+    noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
+    small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
     moving_tau: float = 20.0
     """Correlation time of the disturbance of a moving robot, seconds. The correlation length of
     streets is 25 to 30 m: 4 s in a car and 37 s at walking pace. Too short a time would make the
@@ -35,6 +36,7 @@ class FusionTuning:
     standing_tau: float = 300.0  # the same at rest
     learning_step: float = 0.1  # seconds between updates of the disturbance
     contradicted_after: float = 3.0  # seconds of disagreement after which a good field overrules
+    beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
     heading_error_time: float = 1.0
     """Correlation time of the error of such a heading, seconds, median. Noise is white, reflections
