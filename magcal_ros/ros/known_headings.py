@@ -14,6 +14,7 @@ from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pa
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
+from magcal_ros.core.session.session_tuning import KNOWN
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
@@ -235,7 +236,7 @@ class KnownHeadings:
         self._tell, self._given = tell, settings.known_heading
         self._pairs, self.antenna.collected = [], []
         self._pairer = Pairer(self._magnetometer.inputs.streams)
-        self._deadline = time.monotonic() + external_heading.TUNING.patience
+        self._deadline = time.monotonic() + KNOWN.patience
 
     def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
         if turns.state is not TurnState.IDLE:
@@ -257,7 +258,7 @@ class KnownHeadings:
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
         stamps = [pair.field.stamp for pair in self._pairs]
-        if stamps and stamps[-1] - stamps[0] >= external_heading.TUNING.seconds:
+        if stamps and stamps[-1] - stamps[0] >= KNOWN.seconds:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:

@@ -25,13 +25,13 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 def leisure(monkeypatch):
     """Avoid stops by a busy machine; test/core tests the limits."""
     names = ("silence", "gyro_silence", "listeners_within", "guarded_within")
-    patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
-    monkeypatch.setattr(self_turn, "TUNING", patient)
+    patient = replace(self_turn.SELF_TURN, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
+    monkeypatch.setattr(self_turn, "SELF_TURN", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(
         rotation,
-        "TUNING",
-        replace(rotation.TUNING, farthest_beyond=math.pi),
+        "ROTATION",
+        replace(rotation.ROTATION, farthest_beyond=math.pi),
     )
 
 
@@ -99,7 +99,7 @@ def test_a_jump_of_simulated_time_is_named_as_the_reason(base):
 
 
 def test_a_missing_subscription_of_the_commands_is_reported_with_the_topic(stage, monkeypatch):
-    monkeypatch.setattr(self_turn, "TUNING", replace(self_turn.TUNING, listeners_within=0.3))
+    monkeypatch.setattr(self_turn, "SELF_TURN", replace(self_turn.SELF_TURN, listeners_within=0.3))
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
     assert "nothing subscribes to /cmd_vel" in answer.message
@@ -123,8 +123,8 @@ from magcal_ros.core.session import self_turn
 from magcal_ros.ros import guard, main, node
 # Whether a busy machine keeps the node silent, or finds base and guard late, is not asked here.
 guard.SILENCE = 10.0
-patient = dataclasses.replace(self_turn.TUNING, listeners_within=60.0, guarded_within=60.0)
-self_turn.TUNING = patient
+patient = dataclasses.replace(self_turn.SELF_TURN, listeners_within=60.0, guarded_within=60.0)
+self_turn.SELF_TURN = patient
 fault = threading.Event()
 def look(self):
     if fault.is_set():

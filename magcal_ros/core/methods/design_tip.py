@@ -24,9 +24,9 @@ from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.geometry.shapes import SMALLEST, ellipse_ratio
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import SCREENING, check_arc, check_radius, check_window
+from magcal_ros.core.methods.methods_tuning import TIP
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.methods.tip_steps import (
-    TUNING,
     Candidate,
     FieldCircle,
     TipSamples,
@@ -132,14 +132,14 @@ def _choose(
             for candidate, field in zip(candidates, assumed, strict=True)
         ]
     )
-    fitting = np.flatnonzero(misfit <= misfit.min() + TUNING.strength_margin)
+    fitting = np.flatnonzero(misfit <= misfit.min() + TIP.strength_margin)
     first = int(fitting[0])
     chosen = candidates[first]
     others = candidates[:first] + candidates[first + 1 :]
     own = rotation_from_rpy(chosen.roll, chosen.pitch)
     for rival in (candidates[int(index)] for index in fitting[1:]):
         apart = rotation_angle(own @ rotation_from_rpy(rival.roll, rival.pitch).T)
-        is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
+        is_same_size = rival.angle - chosen.angle < TIP.rival_margin
         if is_same_size and apart > SCREENING.widest_rival:
             raise Refusal(
                 Reason.AMBIGUOUS,
@@ -153,7 +153,7 @@ def _axial_unknown(solution: TipSolution) -> FloatArray:
     unknown = np.zeros(PARAMETERS)
     if solution.assumed.axial_unknown:
         along = solution.samples.mounting @ solution.chosen.circle.normal
-        unknown[9:] = TUNING.axial_sigma * along
+        unknown[9:] = TIP.axial_sigma * along
     return unknown
 
 
@@ -216,7 +216,7 @@ def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxi
     axial = height
     basis = "neither strength nor inclination is known: no hard iron along the axis is assumed"
     if not strength.is_unknown:
-        if radius > (1.0 + TUNING.strength_margin) * strength.value:
+        if radius > (1.0 + TIP.strength_margin) * strength.value:
             raise _contradiction("strength")
         axial = math.copysign(math.sqrt(max(strength.value**2 - radius**2, 0.0)), height)
         basis = "strength as given, inclination from the circle's radius and the smaller hard iron"

@@ -16,27 +16,9 @@ from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.shapes import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.tumbling import (
-    CLOUD,
-    Shape,
-    finish,
-    nominal_field,
-    on_unit_sphere,
-)
+from magcal_ros.core.methods.methods_tuning import CLOUD, ELLIPSOID
+from magcal_ros.core.methods.tumbling import Shape, finish, nominal_field, on_unit_sphere
 from magcal_ros.core.samples.window import Window
-
-
-@dataclass(frozen=True)
-class EllipsoidTuning:
-    """Which clouds count as an ellipsoid."""
-
-    least_extent: float = 0.9
-    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
-    largest_ratio: float = 3.0
-    """Longest over shortest radius; larger soft iron makes a compass unusable."""
-
-
-TUNING = EllipsoidTuning()
 
 
 @dataclass(frozen=True)
@@ -66,7 +48,7 @@ def fit(
         window,
         knowledge,
         method="ellipsoid",
-        least_extent=TUNING.least_extent,
+        least_extent=ELLIPSOID.least_extent,
         remedy=remedy,
     )
 
@@ -88,7 +70,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
 
 
 def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
-    if ellipsoid.ratio > TUNING.largest_ratio:
+    if ellipsoid.ratio > ELLIPSOID.largest_ratio:
         raise Refusal(
             Reason.NO_SOLUTION,
             f"The longest radius of the ellipsoid is {ellipsoid.ratio:.1f} times the shortest: too "

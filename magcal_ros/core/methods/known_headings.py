@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
 from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.methods.methods_tuning import CONTRADICTION
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
@@ -27,18 +28,6 @@ METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
 MOST_SEARCHED = 24  # most measurements among which the contradicting one is searched
 
-
-@dataclass(frozen=True)
-class ContradictionTuning:
-    """When known headings contradict field and gyro."""
-
-    chance: float = 1e-3  # least probability of a larger misfit by chance (p-value)
-    odds: float = 12.0
-    """Twice the log likelihood ratio from which another interpretation of the headings is named:
-    four hundred to one."""
-
-
-TUNING = ContradictionTuning()
 
 QUARTER = 0.5 * math.pi
 READINGS: dict[str, tuple[float, float]] = {
@@ -121,12 +110,12 @@ def _refuse_contradiction(
     rivals = _rivals(measurements, knowledge, place)
     words = min(rivals, key=lambda each: rivals[each].cost)
     best = rivals[words]
-    if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
+    if best.cost < agreement.cost - CONTRADICTION.odds and best.chance > CONTRADICTION.chance:
         raise Refusal(
             Reason.HEADING_CONTRADICTED,
             f"The known headings contradict the field: {words}. Corrected so, they agree.",
         )
-    if agreement.chance < TUNING.chance:
+    if agreement.chance < CONTRADICTION.chance:
         raise Refusal(
             Reason.HEADING_CONTRADICTED, _contradiction(agreement, measurements, knowledge, place)
         )
@@ -173,12 +162,12 @@ def _contradiction(
     count = len(measurements)
     apart = [replace(each, turned_sigma=math.inf) for each in measurements]
     alone = agreement_of(apart, knowledge, place)
-    if alone.chance > TUNING.chance:
+    if alone.chance > CONTRADICTION.chance:
         return _by_gyro(measurements)
     if 2 < count <= MOST_SEARCHED:
         found = [agreement_of(_without(measurements, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
-        if found[k].chance > TUNING.chance:
+        if found[k].chance > CONTRADICTION.chance:
             return (
                 f"Known heading {k + 1} of {count} ({_as_given(measurements[k], knowledge)}) "
                 "contradicts the others, by the field: check that it was typed correctly, and "

@@ -17,30 +17,9 @@ from magcal_ros.core.calibration.figure import along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.tumbling import (
-    CLOUD,
-    Shape,
-    finish,
-    nominal_field,
-    on_unit_sphere,
-)
+from magcal_ros.core.methods.methods_tuning import CLOUD, MIN_MAX
+from magcal_ros.core.methods.tumbling import Shape, finish, nominal_field, on_unit_sphere
 from magcal_ros.core.samples.window import Window
-
-
-@dataclass(frozen=True)
-class MinMaxTuning:
-    """Bounds of the ranges, and the cells in which robust extremes are counted."""
-
-    smallest_range: float = 0.5
-    """Smallest over largest range of an axis; below it one axis was never along the field."""
-    least_extent: float = 1.6
-    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
-    cells: float = 12.0  # number of cells along the longest range of an axis
-    starting_quantile: float = 0.05
-    """Fraction of the cells left out at either end of an axis at the start."""
-
-
-TUNING = MinMaxTuning()
 
 
 @dataclass(frozen=True)
@@ -71,7 +50,7 @@ def fit(
         window,
         knowledge,
         method="min_max",
-        least_extent=TUNING.least_extent,
+        least_extent=MIN_MAX.least_extent,
         remedy=remedy,
     )
 
@@ -84,7 +63,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     )
     low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
     offset, half_range = 0.5 * (low + high), 0.5 * (high - low)
-    if half_range.min() < TUNING.smallest_range * half_range.max():
+    if half_range.min() < MIN_MAX.smallest_range * half_range.max():
         axis = "xyz"[int(half_range.argmin())]
         raise Refusal(
             Reason.PLANAR,
@@ -102,10 +81,10 @@ def samples_on_ellipsoid(nominal: FloatArray) -> BoolArray:
 
     The field (n, 3) is in nominal axes, tesla.
     """
-    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / TUNING.cells
+    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / MIN_MAX.cells
     # One sample of each cell: an orientation in which the sensor rested counts once.
     single = nominal[np.unique(np.round(nominal / size), axis=0, return_index=True)[1]]
-    share = TUNING.starting_quantile
+    share = MIN_MAX.starting_quantile
     low, high = np.quantile(single, [share, 1.0 - share], axis=0)
     kept = np.ones(len(single), dtype=np.bool_)
     for _ in range(CLOUD.rounds):

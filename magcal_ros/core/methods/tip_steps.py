@@ -21,37 +21,8 @@ from magcal_ros.core.geometry.rotations import (
 )
 from magcal_ros.core.geometry.shapes import SMALLEST, Plane, fit_circle, fit_plane
 from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.methods.methods_tuning import TIP
 from magcal_ros.core.samples.window import Window
-
-
-@dataclass(frozen=True)
-class TipTuning:
-    """Which turns the geometry determines."""
-
-    largest_normal_sigma: float = math.radians(10.0)
-    """Largest sigma of the field plane's normal, radians."""
-    largest_thickness: float = 0.25
-    """RMS distance from the plane over the radius of the circle; a tumble has more."""
-    smallest_axial_gravity: float = math.cos(math.radians(75.0))
-    """Cosine between axis and vertical. The error of the inclination is divided by it."""
-    clear_sense: float = 20.0
-    """Standard errors from which gravity determines the sense of rotation. It is large because
-    wobble is correlated; below it, the smaller installation is chosen."""
-    least_gyro_agreement: float = 0.5
-    """Slope of the field's phase against the gyro's angle from which the gyro's sense is used."""
-    smallest_lever: float = math.sin(math.radians(10.0))
-    """Length of the axis perpendicular to body y; below it the pitch is a rotation about the axis
-    and not observable."""
-    strength_margin: float = 0.1
-    """Relative misfit of the strength, above the best one, up to which an installation fits; and
-    the largest relative excess of the circle's radius over the strength."""
-    rival_margin: float = math.radians(2.0)
-    """Difference of size up to which a rival installation counts as equally likely, radians."""
-    axial_sigma: float = 50e-6
-    """Tesla, prior of the hard iron along the axis if neither strength nor inclination is known."""
-
-
-TUNING = TipTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +123,13 @@ def derotation(normal: FloatArray) -> FloatArray:
 def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
     least_noise = SMALLEST * float(np.linalg.norm(raw, axis=1).mean())
     smallest, middle, largest = plane.spread
-    is_uncertain = plane.normal_sigma(least_noise) > TUNING.largest_normal_sigma
+    is_uncertain = plane.normal_sigma(least_noise) > TIP.largest_normal_sigma
     if is_uncertain and middle < 2.0 * smallest < largest:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
             "The field's samples lie on a line within their noise. Turn further.",
         )
-    if is_uncertain or plane.thickness > TUNING.largest_thickness * radius:
+    if is_uncertain or plane.thickness > TIP.largest_thickness * radius:
         raise Refusal(
             Reason.FIELD_NOT_ON_A_PLANE,
             "The field's samples do not lie on a plane. Turn about one axis only, on even ground "
@@ -191,7 +162,7 @@ def find_axis(samples: TipSamples, circle: FieldCircle) -> TurnAxis:
     not on the axis. Raises `Refusal` if the axis is nearly horizontal.
     """
     centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
-    if float(np.linalg.norm(centre)) < TUNING.smallest_axial_gravity:
+    if float(np.linalg.norm(centre)) < TIP.smallest_axial_gravity:
         raise _horizontal()
     try:
         plane = fit_plane(samples.down)
@@ -200,7 +171,7 @@ def find_axis(samples: TipSamples, circle: FieldCircle) -> TurnAxis:
     direction = _weighed(centre, centre_sigma, plane)
     axial = samples.down @ direction
     axial_gravity = float(axial.mean())
-    if axial_gravity < TUNING.smallest_axial_gravity:
+    if axial_gravity < TIP.smallest_axial_gravity:
         raise _horizontal()
     return TurnAxis(
         direction=direction,
@@ -263,7 +234,7 @@ def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) ->
     nor a gyro shows this sense, both normals are tried. Raises `Refusal` if none fits, if the pitch
     is not observable, or if gravity and gyro contradict each other.
     """
-    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TUNING.smallest_lever:
+    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TIP.smallest_lever:
         raise Refusal(
             Reason.AMBIGUOUS,
             "The robot turned about the IMU's y axis, which does not show the magnetometer's "
@@ -303,7 +274,7 @@ def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
     field = circle.phasor / np.abs(circle.phasor).mean()
     same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
     standard_error = max(axis.noise, SMALLEST) / math.sqrt(len(field))
-    if abs(same - opposite) < TUNING.clear_sense * standard_error:
+    if abs(same - opposite) < TIP.clear_sense * standard_error:
         return 0
     return 1 if same > opposite else -1
 
@@ -317,6 +288,6 @@ def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> 
     seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
     power = float(expected @ expected)
     slope = float(expected @ seen) / power if power > 0.0 else 0.0
-    if abs(slope) < TUNING.least_gyro_agreement:
+    if abs(slope) < TIP.least_gyro_agreement:
         return 0
     return 1 if slope > 0.0 else -1

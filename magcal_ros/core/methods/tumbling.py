@@ -23,30 +23,9 @@ from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.geometry.rotations import skew
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import SCREENING, refuse_empty
+from magcal_ros.core.methods.methods_tuning import CLOUD
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
-
-
-@dataclass(frozen=True)
-class CloudTuning:
-    """Bounds of the field samples of a tumbled sensor."""
-
-    fewest_samples: int = 40
-    thinnest_cloud: float = 0.15
-    """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
-    largest_residual: float = 0.15
-    """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
-    outlier_deviations: float = 5.0
-    """Robust standard deviations from the median distance beyond which a sample is an outlier."""
-    least_gate: float = 0.02  # deviation over the radius up to which a sample is never an outlier
-    rounds: int = 10  # most times that outliers are left out and the rest is fitted again
-    least_level_share: float = 0.1  # least level share of the field by which the scatter is divided
-    installation_sigma: float = math.radians(3.0)
-    """Prior of the magnetometer's rotation against the IMU, radians per axis."""
-
-
-CLOUD = CloudTuning()
-
 
 PROBES: FloatArray = unit(
     np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if d > (0.0, 0.0, 0.0)])

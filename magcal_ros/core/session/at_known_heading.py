@@ -23,7 +23,8 @@ from magcal_ros.core.methods.known_headings import declination_hint, fit, next_h
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import LOG, TUNING, ExternalHeading, GyroTurn
+from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
+from magcal_ros.core.session.session_tuning import KNOWN, LOG
 from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SIZES
 from magcal_ros.core.up.follower import UpFollower
@@ -33,15 +34,15 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
     half = len(field) // 2
     moved = np.abs(field[:half].mean(axis=0) - field[half:].mean(axis=0)).max()
     turned = float(np.linalg.norm(rate.mean(axis=0))) if np.isfinite(rate).all() else 0.0
-    if turned > TUNING.rate:
+    if turned > KNOWN.rate:
         what = f"the robot turned at {turned * DEGREES:.1f} °/s (measured by the gyro)"
-    elif moved > TUNING.creep + 4.0 * noise * math.sqrt(2.0 / half):
+    elif moved > KNOWN.creep + 4.0 * noise * math.sqrt(2.0 / half):
         what = f"the field changed by {moved * MICROTESLA:.1f} µT"
     else:
         return
     raise Refusal(
         Reason.HEADING_CONTRADICTED,
-        f"{what} during the measurement: the robot has to stand still for {TUNING.seconds:g} s at "
+        f"{what} during the measurement: the robot has to stand still for {KNOWN.seconds:g} s at "
         "the known heading, and nothing magnetic may move near it",
     )
 
@@ -84,11 +85,11 @@ class CollectedSamples:
                 "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
                 "for gps/fix, or give a heading that refers to magnetic north",
             )
-        if len(self.pairs) < TUNING.fewest:
+        if len(self.pairs) < KNOWN.fewest:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
                 f"only {len(self.pairs)} samples of field and acceleration came in "
-                f"{TUNING.seconds:g} s, and {TUNING.fewest} are needed: check that both sensors "
+                f"{KNOWN.seconds:g} s, and {KNOWN.fewest} are needed: check that both sensors "
                 "publish, and check their stamps",
             )
         time = np.array([pair.field.stamp for pair in self.pairs])
@@ -143,10 +144,10 @@ def add_known_heading(
     that contradicts this calibration is refused.
     """
     other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
-    measurements = (*_without_repeated(before, new), new)[-TUNING.most :]
+    measurements = (*_without_repeated(before, new), new)[-KNOWN.most :]
     try:
         gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
-        if abs(gap) > TUNING.contradicted * sigma:
+        if abs(gap) > KNOWN.contradicted * sigma:
             raise Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
         estimate = fit(measurements, knowledge)
     except Refusal as refusal:
@@ -176,7 +177,7 @@ def _without_repeated(
     kept: list[KnownHeadingMeasurement] = []
     lost = False
     for each in before:
-        near = abs(wrapped(each.heading - new.heading)) < TUNING.same
+        near = abs(wrapped(each.heading - new.heading)) < KNOWN.same
         is_same = (
             near and np.linalg.norm(each.field - new.field) * MICROTESLA < DISTURBANCE_AT_REST.usual
         )

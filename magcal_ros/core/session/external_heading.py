@@ -17,50 +17,8 @@ from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
+from magcal_ros.core.session.session_tuning import KNOWN
 from magcal_ros.core.up.filter import GYRO
-
-
-@dataclass(frozen=True)
-class KnownHeadingTuning:
-    """Rests at a known heading, and the comparison of a device's headings with the gyro."""
-
-    seconds: float = 3.0  # duration of a mean
-    fewest: int = 10  # field samples that a mean needs
-    patience: float = 15.0  # steady-clock seconds after which the samples are taken as too few
-    rate: float = math.radians(1.5)  # rad/s without the bias from which the robot turns
-    creep: float = 0.7e-6  # largest change of the field in a rest, without noise, tesla
-    contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
-    same: float = math.radians(5.0)  # radians within which a new heading replaces another
-    most: int = 24  # measurements that are kept
-    turn: float = math.radians(40.0)  # smallest turn by the gyro for a comparison, radians
-    apart: float = math.radians(12.0)  # largest difference in a comparison, radians
-    times: int = 3  # successive failed comparisons from which the headings are refused
-    longest: float = 60.0  # seconds over which the gyro is integrated for a comparison
-
-
-TUNING = KnownHeadingTuning()
-
-
-@dataclass(frozen=True)
-class HeadingLogTuning:
-    """The means that are kept of a drive with external headings."""
-
-    sectors: int = 12  # sectors of headings
-    each: int = 8  # means that are kept in each sector
-    block: float = 0.5  # seconds of a mean
-    pause: float = 4.0
-    """Seconds between two means of a sector: local disturbances extend over some 30 m of street."""
-    fewest: int = 4  # samples of a mean
-    rate: float = 0.1  # rad/s from which a delay between heading and field matters
-    sigma: float = math.radians(0.7)  # heading error by such a delay, radians
-    common: float = math.radians(0.5)
-    """Sigma of the device's mounting yaw, radians: a centimetre for antennas a metre apart."""
-    force: float = 0.15  # sigma of the up vector in a drive, m/s² per axis
-    speed: float = 5.0  # assumed speed of a moving robot, m/s, because the speed is not measured
-    first: int = 8  # new means needed for a fit
-
-
-LOG = HeadingLogTuning()
 
 
 @dataclass(frozen=True)
@@ -164,22 +122,22 @@ class HeadingAgainstGyro:
     def add(self, stamp: float, yaw: float, angle: float) -> None:
         """Take a heading, and the turn by the gyro up to its stamp, radians to the left."""
         seconds, given, turned = stamp - self._last[0], yaw - self._last[1], angle - self._last[2]
-        if not 0.0 < seconds < TUNING.longest:
+        if not 0.0 < seconds < KNOWN.longest:
             self._last = stamp, yaw, angle
             return
-        if abs(turned) < TUNING.turn:
+        if abs(turned) < KNOWN.turn:
             return
         self._last, given = (stamp, yaw, angle), wrapped(given)
-        if abs(wrapped(given - turned)) < TUNING.apart:
+        if abs(wrapped(given - turned)) < KNOWN.apart:
             self._wrong, self.fault = [], ""
             return
-        self._wrong = [*self._wrong, (given, turned)][-TUNING.times :]
-        if len(self._wrong) == TUNING.times:
+        self._wrong = [*self._wrong, (given, turned)][-KNOWN.times :]
+        if len(self._wrong) == KNOWN.times:
             self.fault = self._in_words()
 
     def _in_words(self) -> str:
         for factor, words in FAULTS_BY_FACTOR.items():
-            if all(abs(wrapped(t - factor * g)) < TUNING.apart for t, g in self._wrong):
+            if all(abs(wrapped(t - factor * g)) < KNOWN.apart for t, g in self._wrong):
                 return words
         given, turned = self._wrong[-1]
         return (

@@ -23,37 +23,7 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.vec3 import dot, length
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.session.session import Progress
-
-
-@dataclass(frozen=True)
-class RotationTuning:
-    """Commands of a turn, faults of the robot, and the test of the gyro by the field."""
-
-    acceleration: float = 0.5  # rad/s² of the ramps
-    pause: float = 0.5  # seconds at rest between the two directions
-    longest_step: float = 0.2  # longest time step of a ramp, seconds, also after a longer delay
-    least_share: float = 0.3  # fraction of the commanded rate below which the robot does not turn
-    most_share: float = 1.75  # with `most_more`: the fastest rate is this times the planned speed
-    most_more: float = 0.1  # plus this, rad/s
-    leeway: float = 1.5  # limit of time and angle in multiples of the plan, because wheels slip
-    farthest_beyond: float = math.radians(45.0)  # limit beyond either end, because a robot coasts
-    rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
-    most_samples: int = 2000  # samples that are kept to compare gyro, commands and field
-    test_every: float = 0.25  # seconds between two tests of the gyro by the field
-    spans: tuple[float, float, float] = (
-        math.radians(75.0),
-        math.radians(150.0),
-        math.radians(300.0),
-    )
-    """Spans of either angle that are tested, radians; a larger span is more conclusive."""
-    disagree: float = 0.38  # relative difference of gyro and commands from which the field decides
-    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that are tried
-    clearly_worse: float = 1.4  # ratio of squared misfits from which an angle is rejected
-    smallest_radius: float = 1.5e-6  # tesla; a field on a smaller circle has not turned
-    most_rows: int = 200  # samples of a test, evenly over the span
-
-
-TUNING = RotationTuning()
+from magcal_ros.core.session.session_tuning import ROTATION
 
 
 class Phase(Enum):
@@ -94,7 +64,7 @@ def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
 
 def planned_duration(speed: float) -> float:
     """Return the duration in seconds of a turn each way at `speed`, rad/s."""
-    return 2.0 * (math.tau / speed + speed / TUNING.acceleration) + TUNING.pause
+    return 2.0 * (math.tau / speed + speed / ROTATION.acceleration) + ROTATION.pause
 
 
 class RotationPlan:
@@ -116,7 +86,7 @@ class RotationPlan:
         self._brakes = False
         self._paused_at = now
         self._suspected: dict[Fault, float] = {}
-        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
+        self._deadline = now + min(longest, ROTATION.leeway * planned_duration(speed))
         self._noted = now
         self._commanded = self._path = 0.0
 
@@ -131,13 +101,13 @@ class RotationPlan:
         self._path += abs(step)
         if self.objection:
             return
-        beyond = TUNING.farthest_beyond
+        beyond = ROTATION.farthest_beyond
         if measured.by_gyro and not -beyond <= measured.turned <= math.tau + beyond:
             self.objection = (
                 f"the gyro measured {math.degrees(measured.turned):+.0f}°, outside the planned "
                 "turn from 0° to 360°"
             )
-        elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
+        elif max(abs(self._commanded), 0.5 * self._path) > ROTATION.leeway * math.tau:
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete"
             )
@@ -149,7 +119,7 @@ class RotationPlan:
 
     def step(self, now: float, measured: MeasuredTurn) -> float:
         """Return the yaw rate to command at `now`, rad/s, left positive."""
-        elapsed, self._last = min(now - self._last, TUNING.longest_step), now
+        elapsed, self._last = min(now - self._last, ROTATION.longest_step), now
         if self.phase is not Phase.ENDED:
             self.fault = self._find_fault(now, measured)
         if self.fault is not None or self.phase is Phase.ENDED:
@@ -161,7 +131,7 @@ class RotationPlan:
         return self.command
 
     def _wait(self, now: float, measured: MeasuredTurn) -> None:
-        if now - self._paused_at >= TUNING.pause:
+        if now - self._paused_at >= ROTATION.pause:
             self._target = abs(measured.turned - self._from)
             self.phase, self._from, self._brakes = Phase.BACK, measured.turned, False
             self._suspected.clear()
@@ -169,12 +139,12 @@ class RotationPlan:
     def _drive(self, now: float, elapsed: float, measured: MeasuredTurn) -> None:
         size = abs(self.command)
         covered = self.direction * (measured.turned - self._from)
-        braking_arc = size * size / (2.0 * TUNING.acceleration)
+        braking_arc = size * size / (2.0 * ROTATION.acceleration)
         if covered + braking_arc >= self._target or (
             self.phase is Phase.OUT and measured.is_complete
         ):
             self._brakes = True
-        change = TUNING.acceleration * elapsed
+        change = ROTATION.acceleration * elapsed
         size = max(size - change, 0.0) if self._brakes else min(size + change, self._speed)
         self.command = self.direction * size
         if self._brakes and size == 0.0:
@@ -185,10 +155,11 @@ class RotationPlan:
         """Return a fault that has lasted longer than `patience`."""
         along = self.direction * measured.rate
         commanded = 0.0 if self._brakes else abs(self.command)
+        fastest = ROTATION.most_share * self._speed + ROTATION.most_more
         shows = {
-            Fault.TOO_FAST: abs(measured.rate) > TUNING.most_share * self._speed + TUNING.most_more,
-            Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
-            Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
+            Fault.TOO_FAST: abs(measured.rate) > fastest,
+            Fault.WRONG_WAY: commanded > 0.0 and along < -ROTATION.least_share * self._speed,
+            Fault.NOT_TURNING: commanded > 0.0 and along < ROTATION.least_share * commanded,
         }
         longest = patience(measured.by_gyro, self._speed)
         for fault, shown in shows.items():
@@ -205,7 +176,7 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
     `turned` by the gyro and `commanded` are (n,), radians to the left. `level` is the field in two
     level axes, (n, 2), tesla.
     """
-    for span in TUNING.spans:
+    for span in ROTATION.spans:
         rows = _last(span, turned, commanded)
         if len(rows) < 10:
             return ""
@@ -218,9 +189,9 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
 def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, span: float) -> str:
     gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
     shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
-    if gyro_span >= span and _best_fit(by_gyro, level)[1] < TUNING.smallest_radius:
+    if gyro_span >= span and _best_fit(by_gyro, level)[1] < ROTATION.smallest_radius:
         return f"the gyro measured a turn of {shown:.0f}°, but the field did not change"
-    if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, commanded_span):
+    if np.ptp(by_gyro - by_command) < ROTATION.disagree * max(gyro_span, commanded_span):
         return ""
     if _turns_rather_by(by_command, by_gyro, level):
         return f"the gyro measured {shown:.0f}°, but the field turned by the commanded {asked:.0f}°"
@@ -232,8 +203,8 @@ def _turns_rather_by(one: FloatArray, other: FloatArray, level: FloatArray) -> b
     if not len(level):
         return False
     misfit, radius = _best_fit(one, level)
-    is_clear = _best_fit(other, level)[0] > TUNING.clearly_worse * misfit
-    return is_clear and radius > TUNING.smallest_radius
+    is_clear = _best_fit(other, level)[0] > ROTATION.clearly_worse * misfit
+    return is_clear and radius > ROTATION.smallest_radius
 
 
 def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
@@ -250,7 +221,7 @@ def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, f
 
 def _best_fit(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
     """Return mean square misfit (T²) and radius (T) of the best of the allowed scales."""
-    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in TUNING.factors)
+    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in ROTATION.factors)
     return total / (2.0 * len(turned)), radius
 
 
@@ -265,7 +236,7 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
     if not len(enough):
         return np.empty(0, dtype=int)
     count = int(enough[0]) + 1
-    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, TUNING.most_rows))
+    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, ROTATION.most_rows))
     return np.unique(rows.round().astype(int))
 
 
@@ -282,7 +253,7 @@ class TurnMonitor:
         self._has_gyro = False
         self._commanded = 0.0
         self._tested_at = -math.inf
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.most_samples)
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=ROTATION.most_samples)
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
         """Take the next sample, and the commanded rate (rad/s) at its stamp."""
@@ -309,7 +280,7 @@ class TurnMonitor:
 
     def objection(self, now: float) -> str:
         """Return how the field contradicts the gyro, if so; tests at most every `test_every`."""
-        if not self._has_gyro or now - self._tested_at < TUNING.test_every:
+        if not self._has_gyro or now - self._tested_at < ROTATION.test_every:
             return ""
         self._tested_at = now
         found = objection_to_gyro(*self._angles_and_field())
@@ -354,7 +325,7 @@ class TurnMonitor:
         """Return the mean rate over the newest `rate_span` seconds, rad/s."""
         first = last = self._rows[-1]
         for row in reversed(self._rows):
-            if last[7] - row[7] > TUNING.rate_span:
+            if last[7] - row[7] > ROTATION.rate_span:
                 break
             first = row
         seconds = last[7] - first[7]

@@ -13,29 +13,12 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationPlan, TurnMonitor
 from magcal_ros.core.session.session import Progress, TurnRequest
-
-
-@dataclass(frozen=True)
-class SelfTurnTuning:
-    """Time limits of a robot that turns itself, and the end of its commands."""
-
-    zeros: int = 10  # zeros that are sent at the end, because a single message may be lost
-    silence: float = 1.0  # seconds without messages of a sensor after which the robot is stopped
-    gyro_silence: float = 0.5
-    """Seconds without an angular velocity, or between two calls of `SelfTurn.look`, after which the
-    moving robot is stopped."""
-    listeners_within: float = 3.0  # seconds within which the commands must have a subscription
-    stands_first: float = 3.0  # seconds at rest first, for gyro bias and the motors' field
-    guarded_within: float = 10.0  # longest wait for the guard, s; a small computer needs three
-
-
-TUNING = SelfTurnTuning()
-
+from magcal_ros.core.session.session_tuning import SELF_TURN
 
 UNGUARDED = (
     "the robot does not start to turn: the guard, a second process that can stop the robot, was "
-    f"not ready within {TUNING.guarded_within:g} s; end other programs that keep the machine busy, "
-    "and see the log"
+    f"not ready within {SELF_TURN.guarded_within:g} s; end other programs that keep the machine "
+    "busy, and see the log"
 )
 GUARD_GONE = (
     "the guard process has ended, does not answer, or has stopped the robot because this node was "
@@ -135,7 +118,7 @@ class SelfTurn:
         stage, self._stage = self._stage, None
         if not isinstance(stage, TurnInProgress):
             return ControlStep()
-        self._zeros = TUNING.zeros
+        self._zeros = SELF_TURN.zeros
         return ControlStep(0.0)
 
     def abort(self, reason: str) -> ControlStep:
@@ -148,19 +131,19 @@ class SelfTurn:
         waited = now - self._opened
         if not conditions.is_allowed:
             return self.abort("rotate.enabled was switched off")
-        if max(conditions.imu_age, conditions.field_age) >= TUNING.silence:
+        if max(conditions.imu_age, conditions.field_age) >= SELF_TURN.silence:
             return ControlStep()
         if not conditions.listeners:
-            if waited > TUNING.listeners_within:
+            if waited > SELF_TURN.listeners_within:
                 remedy = "remap cmd_vel to the base's topic"
                 return self.abort(f"nothing subscribes to {self._command}: {remedy}")
         elif conditions.is_guarded:
-            if waited >= TUNING.stands_first:
+            if waited >= SELF_TURN.stands_first:
                 assert request.speed is not None
                 plan = RotationPlan(request.speed, now, request.limits.timeout)
                 self._stage = TurnInProgress(plan, TurnMonitor(request.knowledge.mounting.to_body))
                 self._paired = now
-        elif waited > TUNING.guarded_within:
+        elif waited > SELF_TURN.guarded_within:
             return self.abort(UNGUARDED)
         return ControlStep()
 
@@ -193,7 +176,7 @@ class SelfTurn:
         self, stage: TurnInProgress, now: float, since: float, conditions: TurnConditions
     ) -> str:
         """Return why the turn must not continue; empty if it may."""
-        if since > TUNING.gyro_silence:
+        if since > SELF_TURN.gyro_silence:
             return (
                 f"the machine was too busy to supervise the robot for {since:.1f} s: "
                 "end other programs that keep the machine busy"
@@ -206,17 +189,17 @@ class SelfTurn:
 
     def _silence(self, stage: TurnInProgress, now: float, conditions: TurnConditions) -> str:
         is_pausing = stage.plan.phase is Phase.PAUSE
-        is_unpaired = now - self._paired > TUNING.silence and not is_pausing
+        is_unpaired = now - self._paired > SELF_TURN.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # A pair needs both sensors, so pairs end a little before a sensor counts as silent.
-        longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
+        longest = SELF_TURN.silence / 2.0 if is_unpaired else SELF_TURN.silence
         for topic, age, limit in (
-            (self._imu, conditions.imu_age, TUNING.gyro_silence if by_gyro else longest),
+            (self._imu, conditions.imu_age, SELF_TURN.gyro_silence if by_gyro else longest),
             (self._field, conditions.field_age, longest),
         ):
             if age > limit:
                 return f"{topic} has been silent for {age:.1f} s"
-        if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
+        if self._gyro_heard is not None and now - self._gyro_heard > SELF_TURN.gyro_silence:
             return (
                 f"the gyro sends no data: {self._imu} has had no angular velocity for "
                 f"{now - self._gyro_heard:.1f} s"

@@ -28,30 +28,7 @@ from magcal_ros.core.samples.rest import (
 )
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.samples.window import Window, steps_of
-
-
-@dataclass(frozen=True)
-class SessionTuning:
-    """Size of the buffer, and conditions for a complete turn."""
-
-    largest_buffer: int = 20_000
-    """Pairs. A full buffer is thinned to equal angles, or to equal times if the angles are unknown,
-    so that its size is bounded."""
-    enough_for_progress: int = 2_000
-    """Rows beyond which progress uses only every second, third ... row, because it is computed ten
-    times a second in the thread of the messages."""
-    most_turns: float = 2.0  # full turns after which a turn ends in any case
-    near: float = 2.0
-    """Ratio of the predicted sigma to the target up to which a turn ends at `once_more`. Beyond it
-    a local disturbance is likely, and a second round is useful."""
-    once_more: float = 1.2  # full turns at which a turn ends if the target is not reached
-    stands_still: float = 3.0  # seconds at rest that end a complete turn
-    slowest_turn: float = math.radians(3.0)  # rad/s below which the robot is at rest
-    preview_arc: float = math.radians(120.0)  # arc for the first predicted sigma, radians
-    preview_share: float = 0.25  # fraction of one core that predictions may use
-
-
-TUNING = SessionTuning()
+from magcal_ros.core.session.session_tuning import SESSION
 
 NO_SPAN = (math.nan,) * 7
 
@@ -202,12 +179,12 @@ class Session:
 
     def progress(self, now: float) -> Progress:
         """Return the progress at `now`, seconds on the same steady clock as the start."""
-        rows = self._buffer[: self._size : 1 + self._size // TUNING.enough_for_progress]
+        rows = self._buffer[: self._size : 1 + self._size // SESSION.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        flows = self.has_samples and now - self._last_pair < TUNING.stands_still
+        flows = self.has_samples and now - self._last_pair < SESSION.stands_still
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
-        if abs(rate) > TUNING.slowest_turn:
+        if abs(rate) > SESSION.slowest_turn:
             self._last_turning = now
         stage = self._stage(coverage, now)
         elapsed = now - self._started
@@ -262,16 +239,16 @@ class Session:
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether a complete turn can end: at the target sigma, after more turning, or at rest."""
         target, turns = self.limits.target_sigma, abs(coverage.turned) / math.tau
-        is_near = self._sigma <= TUNING.near * target
+        is_near = self._sigma <= SESSION.near * target
         return (
             self._sigma <= target
-            or ((is_near or not self.covers_whole_turn) and turns >= TUNING.once_more)
-            or turns >= TUNING.most_turns
-            or now - self._last_turning > TUNING.stands_still
+            or ((is_near or not self.covers_whole_turn) and turns >= SESSION.once_more)
+            or turns >= SESSION.most_turns
+            or now - self._last_turning > SESSION.stands_still
         )
 
     def _thin_out(self) -> None:
-        largest = self._longer * TUNING.largest_buffer
+        largest = self._longer * SESSION.largest_buffer
         if self._size < largest:
             more = np.empty((min(self._size, largest - self._size), COLUMNS))
             self._buffer = np.concatenate([self._buffer, more])

@@ -21,7 +21,8 @@ from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.rotation import planned_duration
 from magcal_ros.core.session.self_turn import ControlStep, SelfTurn, TurnConditions
-from magcal_ros.core.session.session import TUNING, Progress, Session, Stage, TurnRequest
+from magcal_ros.core.session.session import Progress, Session, Stage, TurnRequest
+from magcal_ros.core.session.session_tuning import SESSION
 
 
 @dataclass(frozen=True)
@@ -232,7 +233,7 @@ class TurnMachine:
         """Request a preview at intervals, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.covers_whole_turn
         is_due = now > stage.next_preview or waits
-        if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
+        if stage.asked is None and is_due and progress.coverage.arc > SESSION.preview_arc:
             window = self.last_window = stage.session.window()
             asked = Preview(window, stage.request, progress.coverage.turned)
             self._stage = replace(stage, asked=asked, asked_at=now)
@@ -243,7 +244,7 @@ class TurnMachine:
         stage = self._stage
         if isinstance(stage, Collecting) and stage.asked is asked:
             stage.session.note_sigma(sigma, asked.turned)
-            pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
+            pause = (now - stage.asked_at) * (1.0 / SESSION.preview_share - 1.0)
             self._stage = replace(stage, asked=None, next_preview=now + pause)
 
     def look(self, conditions: TurnConditions, now: float) -> None:

@@ -15,7 +15,7 @@ from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.session import LITTLE_DATA, Limits, SampleCollector, fit_collected
-from magcal_ros.core.session.session import TUNING
+from magcal_ros.core.session.session_tuning import SESSION
 from magcal_ros.core.simulation import Ride, Robot, heading_errors
 from magcal_ros.files import open_recording
 
@@ -94,7 +94,7 @@ def test_the_memory_for_hours_of_samples_is_bounded(monkeypatch):
     ):
         collector.take([ImuSample(stamp, tuple(f), tuple(w)), FieldSample(stamp, tuple(b))])
     kept = collector.window()
-    assert TUNING.largest_buffer // 8 < len(kept) <= TUNING.largest_buffer
+    assert SESSION.largest_buffer // 8 < len(kept) <= SESSION.largest_buffer
     assert kept.time[-1] == stamps[-1]
     assert collector.received == [30_000, 30_000]
 

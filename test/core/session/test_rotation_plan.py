@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.session import Fault, MeasuredTurn, Phase, RotationPlan, planned_duration
-from magcal_ros.core.session.rotation import TUNING
+from magcal_ros.core.session.session_tuning import ROTATION
 
 PERIOD = 0.05
 
@@ -69,7 +69,7 @@ def test_the_first_direction_ends_when_all_headings_are_measured():
 def test_rates_change_gradually_and_wheel_slip_is_no_fault(speed, gain, gyro):
     _, _, commands = run(Base(gain, gyro=gyro), speed)
     steps = [abs(b - a) for a, b in zip([0.0, *commands], commands, strict=False)]
-    assert max(steps) <= TUNING.acceleration * PERIOD + 1e-9
+    assert max(steps) <= ROTATION.acceleration * PERIOD + 1e-9
     assert commands[-1] == 0.0
 
 

@@ -9,7 +9,7 @@ from scene import NO_RATE, Scene
 
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session import TurnState
-from magcal_ros.core.session.self_turn import TUNING
+from magcal_ros.core.session.session_tuning import SELF_TURN
 
 SPEED = 0.5
 
@@ -89,10 +89,10 @@ def test_the_turn_waits_for_a_slow_guard():
 @pytest.mark.nightly
 def test_the_robot_first_stands_still_so_that_a_rest_is_measured():
     scene = robot()
-    scene.live(TUNING.stands_first - 0.3)
+    scene.live(SELF_TURN.stands_first - 0.3)
     assert not scene.stated
     assert scene.until_concluded().success
-    assert scene.turn.last_window.rests[0].seconds > TUNING.stands_first - 1.0
+    assert scene.turn.last_window.rests[0].seconds > SELF_TURN.stands_first - 1.0
 
 
 def test_the_end_of_the_guard_ends_the_turn():
@@ -198,7 +198,7 @@ def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
     assert scene.open().success
     scene.until_moving()
     rates = [rate for _, rate in scene.stated]
-    assert rates[rates.index(0.0) :][: TUNING.zeros] == [0.0] * TUNING.zeros
+    assert rates[rates.index(0.0) :][: SELF_TURN.zeros] == [0.0] * SELF_TURN.zeros
     scene.live(60.0, stop=lambda: len(scene.concluded) > 1)
     assert scene.conclusion.success
 
@@ -216,7 +216,7 @@ class TestGyro:
         words = scene.until_concluded(20.0).message
         assert "the gyro sends no data" in words
         assert "/imu has had no angular velocity" in words
-        assert scene.now - since < TUNING.gyro_silence + 0.15
+        assert scene.now - since < SELF_TURN.gyro_silence + 0.15
         scene.assert_stopped_and_silent()
         assert scene.swept - before < math.radians(30.0)
 
@@ -228,7 +228,7 @@ class TestGyro:
         scene.mangle = with_rate(lambda _: np.array(NO_RATE))
         since = scene.now
         assert not scene.until_concluded(20.0).success
-        assert scene.now - since < TUNING.gyro_silence + 0.15
+        assert scene.now - since < SELF_TURN.gyro_silence + 0.15
         scene.assert_stopped_and_silent()
 
     @pytest.mark.nightly
@@ -324,5 +324,5 @@ class TestBounds:
     def test_a_short_pause_of_the_supervision_is_allowed(self):
         scene = robot()
         scene.live(3.0)
-        scene.freeze(0.8 * TUNING.gyro_silence)
+        scene.freeze(0.8 * SELF_TURN.gyro_silence)
         assert scene.until_concluded().success

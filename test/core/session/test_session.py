@@ -10,7 +10,7 @@ from magcal_ros.core import Mounting, Reason, Refusal, Window
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample, ImuSample, Pair
 from magcal_ros.core.session import Limits, Session, Stage
-from magcal_ros.core.session.session import TUNING
+from magcal_ros.core.session.session_tuning import SESSION
 from magcal_ros.core.simulation import DEGREE, Robot
 
 ROBOT = Robot()
@@ -269,9 +269,9 @@ class TestMemory:
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.02 * k)
             most = max(most, len(session._buffer))
-        assert most == TUNING.largest_buffer
+        assert most == SESSION.largest_buffer
         found = session.window()
-        assert len(found) > TUNING.largest_buffer // 8
+        assert len(found) > SESSION.largest_buffer // 8
         assert found.time[-1] == window.time[-1] + 100.0
         assert found.time[0] < 105.0
         arc = session.progress(2000.0).coverage.arc
@@ -280,8 +280,8 @@ class TestMemory:
     @pytest.fixture
     def small_buffer(self, monkeypatch):
         """A buffer of a twentieth of the real size."""
-        smaller = replace(TUNING, largest_buffer=1024)
-        monkeypatch.setattr("magcal_ros.core.session.session.TUNING", smaller)
+        smaller = replace(SESSION, largest_buffer=1024)
+        monkeypatch.setattr("magcal_ros.core.session.session.SESSION", smaller)
 
     def test_a_long_rest_does_not_displace_the_turn(self, small_buffer):
         moving = simulated(arc=6.0, samples=400, duration=12.0)
