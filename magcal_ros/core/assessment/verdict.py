@@ -41,10 +41,10 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.gravity import gravity_size
 from magcal_ros.core.samples.units import (
     ROLLED,
     Z_NOT_UP,
+    gravity_size,
     likely_acceleration_unit,
     unit_by_strength,
     was_turned_over,

@@ -13,7 +13,7 @@ from magcal_ros.core.doctor.doctor_tuning import FINE, HEALTH
 from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
-from magcal_ros.core.samples.gravity import gravity_size
+from magcal_ros.core.samples.units import gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 

@@ -9,13 +9,12 @@ __getattr__, __dir__, __all__ = lazy_names(
     bursts: BurstWatch bursts_in_words spread_bursts spread_each
     coverage: BINS Coverage thin_to_equal_angles yaw_progress
     drive_log: DriveRecorder log_of
-    gravity: gravity_in_body gravity_size
     rest: COLUMNS GyroAtRest rests_around
     spikes: spikes_replaced
     streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
         StampGuard Streams VelocitySample
-    units: InputCounts complaints likely_acceleration_unit likely_field_unit unit_by_strength
-        was_turned_over with_explanation
+    units: InputCounts complaints gravity_in_body gravity_size likely_acceleration_unit
+        likely_field_unit unit_by_strength was_turned_over with_explanation
     window: SensorLog Steps working_axes
     """,
 )
