@@ -29,8 +29,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import FieldDeviation, FieldUse
-from magcal_ros.core.heading.field_jump import FieldJump, LevelField
+from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
 from magcal_ros.core.heading.yaw_filter import (
     FUSION,
     UNKNOWN_YAW,
