@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import shared_cases  # noqa: F401
@@ -26,6 +27,7 @@ from simulated.drive import (
     Drive,
     Fence,
     Iron,
+    Streets,
     Vehicle,
     random_vehicle,
     simulated_drive,
@@ -323,11 +325,14 @@ class ChangesOfWatch(SelfCalibration):
         return []
 
 
+Watched = tuple[Drive, Calibration]
+
+
 def bench_watch(seeds: range) -> None:
     """A calibration in force that holds, and one that no longer does from `WATCHED_FROM` on."""
 
-    def with_iron(size: float) -> Callable[[int], tuple[Drive, Calibration]]:
-        def make(seed: int) -> tuple[Drive, Calibration]:
+    def with_iron(size: float) -> Callable[[int], Watched]:
+        def make(seed: int) -> Watched:
             angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
             iron = (size * math.cos(angle), size * math.sin(angle), 0.0)
             drive = drive_of(seed, 660.0, irons=(Iron(iron, WATCHED_FROM),) if size else ())
@@ -335,7 +340,7 @@ def bench_watch(seeds: range) -> None:
 
         return make
 
-    def moved(seed: int) -> tuple[Drive, Calibration]:
+    def moved(seed: int) -> Watched:
         drive = drive_of(seed, 660.0)
         angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
         tilt = math.radians(5.0)
@@ -343,16 +348,21 @@ def bench_watch(seeds: range) -> None:
         true = drive.vehicle.robot.true_correction
         return drive, calibration_of(Correction(rotation @ true.matrix, true.hard_iron))
 
-    def route(legs: list[Leg]) -> Callable[[int], tuple[Drive, Calibration]]:
-        def make(seed: int) -> tuple[Drive, Calibration]:
-            drive = drive_of(seed, 660.0, legs)
+    def right(legs: list[Leg] | None = None, **place: Any) -> Callable[[int], Watched]:
+        def make(seed: int) -> Watched:
+            drive = drive_of(seed, 660.0, legs, **place)
             return drive, calibration_of(drive.vehicle.robot.true_correction)
 
         return make
 
+    def beside_steel(seed: int) -> Watched:
+        return right(fences=(some_fence(seed),))(seed)
+
     cases = {
         "holds, city": (with_iron(0.0), math.inf),
-        "holds, one street": (route(one_street(14)), math.inf),
+        "holds, one street": (right(one_street(14)), math.inf),
+        "holds, streets of 8 µT": (right(streets=Streets(size=8e-6)), math.inf),
+        "holds, steel on one side": (beside_steel, math.inf),
         "3 µT added (6°)": (with_iron(3e-6), WATCHED_FROM),
         "5 µT added (10°)": (with_iron(5e-6), WATCHED_FROM),
         "10 µT added (20°)": (with_iron(10e-6), WATCHED_FROM),

@@ -19,8 +19,7 @@ class ChangeTuning:
     """Assumptions about places, sensors and driving."""
 
     correlation_time: float = 30.0  # of errors, seconds
-    chance: float = 2.0  # sigmas that chance may reach in a recheck
-    clearly: float = 4.0  # the same where many tests are made, as while driving
+    chance: float = 2.0  # sigmas that chance may reach
 
 
 CHANGE = ChangeTuning()

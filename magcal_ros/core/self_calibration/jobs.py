@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
@@ -86,11 +86,25 @@ class DriveCandidate:
     both are the clock at which it was replaced."""
     in_motion: Correction | None = None
     """Of the moving robot, with the mean field of its motors; None if no motors were fitted."""
+    ratio: LikelihoodRatio | None = None
+    """Over the watched calibration, on the data of the fit; None if the two hardly differ."""
 
     @property
     def sigma(self) -> float:
         """Sigma of the heading by the calibration, radians."""
         return known_sigma(self.calibration)
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether its own data prove that the watched calibration does not hold.
+
+        Each number fitted to them raises their log likelihood by one more than that of other data
+        (Akaike, IEEE Trans. Automatic Control 19, 1974).
+        """
+        if self.ratio is None:
+            return False
+        fitted = 3 if self.kind is CandidateKind.IRON else PARAMETERS
+        return bool(reason_to_accept(self.kind, self.ratio, fitted))
 
     @property
     def sectors(self) -> int:
@@ -179,17 +193,18 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
     return one.correction.is_same(other.correction)
 
 
-def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio) -> str:
+def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio, fitted: int = 0) -> str:
     """Return in words why a calibration is better than the one in force; empty if not proved.
 
     An earlier calibration was fitted to other data: steel that imitates it is most unlikely.
+    `fitted` is how many numbers were fitted to the data of the ratio.
     """
     is_iron = kind is CandidateKind.IRON
     enough = SELF_CALIBRATION.iron_proof if is_iron else SELF_CALIBRATION.likelihood_proof
     gain = ratio.gain
     if kind is not CandidateKind.EARLIER:
         gain = ratio.gain_over_steel(SELF_CALIBRATION.roadside)
-    if gain <= enough or min(ratio.halves) <= 0.0:
+    if gain - fitted <= enough or min(ratio.halves) <= 0.0:
         return ""
     return (
         f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "
@@ -203,12 +218,13 @@ class DriveJob:
 
     log: Window  # the last minutes
     knowledge: Knowledge
-    in_force: Calibration | None
+    in_force: Calibration | None  # or the proposal, with which candidates are compared
     windows: tuple[float, ...]
     """Seconds of the newest driving to which all twelve numbers are fitted."""
     changed: float = -math.inf
     """Clock of the last proved change, seconds: no fit uses data from before it."""
     contests: Contests = field(default_factory=dict)
+    watched: Calibration | None = None  # the one in force, also while another one is proposed
 
 
 @dataclass(frozen=True, eq=False)

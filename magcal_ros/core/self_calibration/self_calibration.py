@@ -155,7 +155,7 @@ class SelfCalibration:
             full = [each for each in windows if each <= seconds] or [windows[0]]
             windows = (full[self._round % len(full)],)
         log, contests = self.recorder.log(), dict(self._contests)
-        return DriveJob(log, knowledge, in_force, windows, self._changed, contests)
+        return DriveJob(log, knowledge, in_force, windows, self._changed, contests, self._in_force)
 
     def fail(self) -> None:
         """Note that a job has failed; a later one tries again."""

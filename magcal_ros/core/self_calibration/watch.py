@@ -1,8 +1,8 @@
 """Whether the calibration in force holds while the robot drives.
 
 The fits to the last minutes are compared with the calibration, as `check` compares the fit of a
-recording. Because many fits are made, chance may be larger here, and the state changes only after
-two conclusive results in a row.
+recording. Because many fits are made, a difference counts only if the data of the fit prove it:
+neither the calibration nor roadside steel explains them.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from magcal_ros.core.monitoring.change import (
     compared,
     local_chance,
 )
-from magcal_ros.core.self_calibration.jobs import CandidateKind, DriveCandidate, DriveResult
+from magcal_ros.core.self_calibration.jobs import (
+    CandidateKind,
+    DriveCandidate,
+    DriveResult,
+)
 
 NOTHING_YET = "the robot has not driven with a gyro yet"
 TOO_UNCERTAIN = "there was too little driving over different headings"
 AGAIN = "calibrate again"
-UNCONFIRMED = "a second fit must confirm a change"
+SUSPECTED = "the last minutes differ from it, but do not prove a change"
 
 
 @dataclass(frozen=True)
@@ -44,30 +48,28 @@ class Watch:
 
     def after(self, found: DriveResult, old: Calibration) -> Watch:
         """Return the state after a job; `old` is in force since the beginning of its data."""
-        fits, clock = list(found.candidates), found.clock
-        fits += [] if found.since_change is None else [found.since_change]
-        known = replace(self, clock=clock, missing=found.refusal or TOO_UNCERTAIN)
-        checks = [tuple(_checks(fit, old)) for fit in fits]
-        against = [k for k, each in enumerate(checks) if any(map(_contradicts, each))]
-        # A fit of the hard iron alone shows no other change. Data from before a change dilute it.
+        change, clock = found.since_change, found.clock
+        fits = [*found.candidates, *(() if change is None else (change,))]
+        judged = [(fit, tuple(checks_of(fit, old))) for fit in fits]
+        differing = [each for each in judged if any(map(_contradicts, each[1]))]
+        if any(fit.is_proved for fit, _ in differing):
+            _, findings = min(differing, key=_rank)
+            since = self.since if self.is_stale else max(fit.start for fit, _ in differing)
+            return Watch(True, True, findings, "", since, contradicted_at=clock, clock=clock)
+        # Data from before a change dilute it.
         agreeing = [
-            k
-            for k, fit in enumerate(fits)
+            (fit, checks)
+            for fit, checks in judged
             if fit.kind is CandidateKind.ALL
             and fit.start >= self.contradicted_at
-            and checks[k][0].is_judged
+            and checks[0].is_judged
+            and not any(map(_contradicts, checks))
         ]
-        conclusive = against or agreeing
-        if not conclusive:
-            return known
-        best = min(conclusive, key=lambda k: (fits[k].kind is CandidateKind.IRON, fits[k].sigma))
-        if not against:
-            return Watch(was_judged=True, findings=checks[best], missing="", clock=clock)
-        is_first = math.isinf(self.contradicted_at)
-        known = replace(known, contradicted_at=clock)
-        if is_first:
-            return replace(known, since=max(fits[k].start for k in against), missing=UNCONFIRMED)
-        return replace(known, is_stale=True, was_judged=True, findings=checks[best], missing="")
+        if agreeing:
+            _, findings = min(agreeing, key=_rank)
+            return Watch(was_judged=True, findings=findings, missing="", clock=clock)
+        missing = SUSPECTED if differing else found.refusal or TOO_UNCERTAIN
+        return replace(self, clock=clock, missing=missing)
 
     @property
     def summary(self) -> str:
@@ -87,16 +89,26 @@ class Watch:
         return "The calibration holds on the headings of the last minutes."
 
 
-def _checks(fit: DriveCandidate, old: Calibration) -> Iterator[Check]:
+def _rank(each: tuple[DriveCandidate, tuple[Check, ...]]) -> tuple[bool, float]:
+    """Return the order of fits: one of the hard iron alone shows no other change."""
+    return each[0].kind is CandidateKind.IRON, each[0].sigma
+
+
+def contradicts(fit: DriveCandidate, old: Calibration) -> bool:
+    """Whether a fit differs from the calibration in force by more than chance and tolerance."""
+    return any(map(_contradicts, checks_of(fit, old)))
+
+
+def checks_of(fit: DriveCandidate, old: Calibration) -> Iterator[Check]:
     """Yield the checks of the calibration in force by a fit: heading, strength and dip.
 
     A field that is there only at rest, or only in motion, is of a place or of motors: the smaller
     figure of the two counts. A fit of the hard iron alone does not show a change of place.
     """
     new = fit.calibration
-    chance = CHANGE.clearly * math.hypot(fit.sigma, calibration_sigma(old))
+    chance = CHANGE.chance * math.hypot(fit.sigma, calibration_sigma(old))
     size = new.evidence.figure(Figure.LOCAL_FIELD, 0.0) / old.strength
-    local = CHANGE.clearly * local_chance(size, fit.seconds)
+    local = CHANGE.chance * local_chance(size, fit.seconds)
     found = [_of(new.correction, new, old, chance, local)]
     if fit.in_motion is not None:
         found.append(_of(fit.in_motion, new, old, chance, local))

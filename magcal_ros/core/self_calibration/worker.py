@@ -23,6 +23,7 @@ from magcal_ros.core.self_calibration.jobs import (
     DriveJob,
     DriveResult,
 )
+from magcal_ros.core.self_calibration.watch import contradicts
 from magcal_ros.core.smoother import drives
 from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes
@@ -50,7 +51,10 @@ def examine_drive(job: DriveJob) -> DriveResult:
         for kind, fits in job.contests.items()
         if job.in_force is not None
     }
-    return DriveResult(clock, tuple(candidates), since_change, ratios, refusal)
+    if since_change is not None:
+        since_change = _with_ratio(nodes, since_change, job)
+    found = tuple(_with_ratio(nodes, each, job) for each in candidates)
+    return DriveResult(clock, found, since_change, ratios, refusal)
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
@@ -77,6 +81,16 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate:
     fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
     return candidate_of(fitted, CandidateKind.ALL, job, start, end)
+
+
+def _with_ratio(nodes: Nodes, fit: DriveCandidate, job: DriveJob) -> DriveCandidate:
+    """Return a fit, with its likelihood ratio if it contradicts the watched calibration."""
+    if job.watched is None or not contradicts(fit, job.watched):
+        return fit
+    both = job.watched, fit.calibration
+    road, to_body = nodes.between(fit.start), job.knowledge.mounting.matrix
+    old, new = (drives.corrected(road, each.correction, to_body) for each in both)
+    return replace(fit, ratio=drives.likelihood_ratio_of(old, new, job.knowledge))
 
 
 def ratio_on_later_data(
