@@ -43,7 +43,6 @@ class VehicleAcceleration:
         self.turn, self.is_yaw_known, self.noise = 1.0 + 0j, False, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[tuple[Tick, complex]] = deque()
-        self._source: SpeedTrack | None = None
         self._key: tuple[SpeedSource, float] | None = None
         self.restart()
 
