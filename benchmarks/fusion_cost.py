@@ -11,7 +11,8 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up.follower import UpFollower
 

@@ -26,7 +26,8 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import SampleCollector, fit_collected
 from magcal_ros.core.simulation import DEGREE, Ride, Robot
 from magcal_ros.core.up.follower import Up, UpFollower

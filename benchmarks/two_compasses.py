@@ -41,7 +41,8 @@ from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import UpFollower
 

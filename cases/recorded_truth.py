@@ -26,7 +26,8 @@ from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.bursts import spread_bursts
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
 from magcal_ros.core.up.follower import UpFollower, propagated_up

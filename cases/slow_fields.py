@@ -10,7 +10,8 @@ from simulated.turns import Motion, measure, slope_rpy, smooth_wobble
 
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session
 from magcal_ros.core.simulation import DEGREE, UP_ENU

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
-    STREAMS,
     FieldSample,
     HeadingSample,
     ImuSample,

@@ -20,7 +20,8 @@ from magcal_ros.core.errors import Reason, Refusal, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import interpolate, length
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4

@@ -16,7 +16,7 @@ from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
 )
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.files.disk import printable
 

@@ -12,6 +12,7 @@ from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.samples_tuning import COMPLAINTS
 from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
@@ -20,7 +21,6 @@ from magcal_ros.core.samples.units import (
     likely_field_unit,
     slow_words,
 )
-from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
 from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
@@ -72,7 +72,7 @@ def vector_in_words(vector: FloatArray) -> str:
 def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
     """Return a finding if more than a few samples (n,) are not finite."""
     share = 1.0 - float(are_numbers.mean())
-    if share <= DIAGNOSIS.worth_a_word:
+    if share <= COMPLAINTS.worth_a_word:
         return []
     return [ok_or_warning("not_finite", f"{name}: numbers", f"{share:.0%} not finite", NOT_NUMBERS)]
 

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import (
     interpolated,
 )
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.window import SensorLog
 
 LONGEST = 60.0  # seconds of a log that are used; the field of a longer drive is not constant

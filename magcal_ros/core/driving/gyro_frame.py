@@ -19,7 +19,8 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
-from magcal_ros.core.samples.streams import STREAMS, ImuSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import ImuSample
 
 Axes = tuple[Triple, Triple, Triple]
 

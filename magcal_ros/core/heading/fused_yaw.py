@@ -38,7 +38,8 @@ from magcal_ros.core.heading.yaw_filter import (
     errors_of,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.streams import STREAMS, enclosing
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import enclosing
 from magcal_ros.core.up.filter import GYRO
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias

@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motion_detector import MOTION
 from magcal_ros.core.knowledge import STREET_LENGTH
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.up.filter import GYRO
 
 MICROTESLA = 1e6

@@ -18,7 +18,7 @@ from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, le
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.up.follower import Up
 
 LASTING = 3.0  # correlation time of a disagreement, seconds

@@ -14,8 +14,9 @@ from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.geometry.shapes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.spikes import without_spikes
-from magcal_ros.core.samples.streams import STREAMS, SWAY
+from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
 
 WEAKEST_FORCE = 0.8

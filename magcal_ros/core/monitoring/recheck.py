@@ -44,7 +44,7 @@ from magcal_ros.core.monitoring.change import (
     local_chance,
 )
 from magcal_ros.core.samples.coverage import Coverage
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed
 from magcal_ros.core.smoother.unknowns import DRIVES, MICROTESLA

@@ -16,7 +16,8 @@ from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle, wrapped
 from magcal_ros.core.heading.compass import Compass, CompassReading
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams, TravelSample
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,9 @@ __getattr__, __dir__, __all__ = lazy_names(
     drive_log: DriveRecorder log_of
     rest: COLUMNS GyroAtRest rests_around
     spikes: spikes_replaced
-    streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
-        StampGuard Streams VelocitySample
+    samples_tuning: STREAMS
+    streams: DropReason FieldSample ImuSample Pair Pairer PositionSample SpeedSample StampGuard
+        Streams VelocitySample
     units: InputCounts complaints gravity_in_body gravity_size likely_acceleration_unit
         likely_field_unit unit_by_strength was_turned_over with_explanation
     window: SensorLog Steps working_axes

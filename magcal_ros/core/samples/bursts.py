@@ -3,33 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, accumulated
-
-
-@dataclass(frozen=True)
-class BurstTuning:
-    """When stamps come in bursts."""
-
-    share: float = 0.5  # least fraction of the time in gaps between bursts
-    longer: float = 5.0  # least length of such a gap, in median gaps
-    fewest: int = 10  # least number of such gaps; fewer are pauses
-    alike: float = 0.4
-    apart: float = 0.25
-    """Least fraction of gaps within this relative distance of their median: buffers are read at
-    regular intervals."""
-    each: float = 3.0  # least samples in a burst; pairs are more likely repeated messages
-    straight: float = 1.5
-    """Largest range of the stamps about a constant rate, in gaps between bursts; beyond, whole
-    bursts are missing."""
-    harmful: float = 0.1  # seconds between bursts from which a running node warns
-    watched: int = 3000  # newest gaps that are examined while samples come
-
-
-BURSTS = BurstTuning()
+from magcal_ros.core.samples.samples_tuning import BURSTS
 
 
 def long_gaps(time: FloatArray) -> FloatArray:

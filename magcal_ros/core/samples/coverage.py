@@ -12,27 +12,9 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.shapes import fit_circle_in_space
+from magcal_ros.core.samples.samples_tuning import COVERAGE
 
 BINS, THINNED = 36, 180  # bins of the circle, to display a turn and to thin it
-
-
-@dataclass(frozen=True)
-class CoverageTuning:
-    """When a turn is detected, and when it is complete."""
-
-    largest_gap: float = math.radians(20.0)  # radians, of a complete turn
-    spacings: float = 4.0  # mean distances between samples that do not count as a gap
-    spread_over_noise: float = 6.0
-    """Least ratio of the field's spread to its noise before the phase is used."""
-    smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot at rest
-    gyro_leads_until: float = math.radians(60.0)
-    """Radians. A shorter arc does not determine the field's circle; the gyro is used instead."""
-    smallest_turn: float = math.radians(10.0)
-    """Radians. Least turn by the gyro, in addition to the drift by its largest bias."""
-    largest_gyro_bias: float = math.radians(1.0)  # rad/s, of a gyro at rest
-
-
-COVERAGE = CoverageTuning()
 
 
 @dataclass(frozen=True, eq=False)

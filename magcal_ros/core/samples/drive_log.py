@@ -21,35 +21,15 @@ from magcal_ros.core.samples.rest import (
     SPEED,
     GyroAtRest,
 )
-from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
+from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
+from magcal_ros.core.samples.streams import ImuSample, ImuSpan, Pair
 from magcal_ros.core.samples.window import Steps, Window, steps_of
-
-
-@dataclass(frozen=True)
-class RecorderTuning:
-    """How a drive is averaged, and when the robot rests during it."""
-
-    row: float = 0.1  # seconds of samples in one row
-    chunk: int = 10  # rows between tests for a rest
-    rests: int = 60  # newest rests whose gyro bias is stored
-    rest_chunks: int = 60  # memory of the mean rate during a rest, in chunks
-    rest_field: float = 0.6e-6
-    rest_rate: float = math.radians(0.5)
-    rest_force: float = 0.15
-    rest_noise: float = 0.5
-    rest_speed: float = 0.1
-    """Limits of a rest over five seconds. For field (tesla) and rate (rad/s): the difference of
-    both halves, plus `rest_noise` standard deviations. For force: its standard deviation, m/s². For
-    a known speed: its size, m/s."""
-
-
-TUNING = RecorderTuning()
 
 
 def log_of(window: Window) -> Window:
     """Average a window with a gyro, as `DriveRecorder` does."""
     assert window.angular_rate is not None
-    block = ((window.time - window.time[0]) / TUNING.row).astype(int)
+    block = ((window.time - window.time[0]) / RECORDER.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
     log = Window(
         block_means(window.time, first),
@@ -103,12 +83,12 @@ class DriveRecorder:
     """
 
     def __init__(self, seconds: float) -> None:
-        self._longest_silence = CHUNKS_OF_REST * TUNING.chunk * TUNING.row
+        self._longest_silence = CHUNKS_OF_REST * RECORDER.chunk * RECORDER.row
         self._chunks: deque[FloatArray] = deque(
-            maxlen=int(seconds / (TUNING.row * TUNING.chunk)) + 1
+            maxlen=int(seconds / (RECORDER.row * RECORDER.chunk)) + 1
         )
         self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_OF_REST)
-        self._rested: deque[_Rest] = deque(maxlen=TUNING.rests)
+        self._rested: deque[_Rest] = deque(maxlen=RECORDER.rests)
         self._held: deque[FloatArray] = deque()
         self.begin_anew()
 
@@ -156,7 +136,7 @@ class DriveRecorder:
             self._pause = stamp - self.clock - hole if self._chunks else 0.0
         self._newest = stamp
         grown = False
-        if stamp >= self._row + TUNING.row:
+        if stamp >= self._row + RECORDER.row:
             grown = self._close()
             self._row = stamp
         self._count += 1
@@ -224,7 +204,7 @@ class DriveRecorder:
             row[SPAN], self._path_of_row = list(map(sub, path, before)), path
             self._rows.append(row)
             self._sums, self._count = [0.0] * WIDTH, 0
-        if len(self._rows) < TUNING.chunk:
+        if len(self._rows) < RECORDER.chunk:
             return False
         chunk = np.array(self._rows)
         self._rows.clear()
@@ -247,14 +227,14 @@ class DriveRecorder:
             for each in self._recent:
                 each[:, RESTED] = 1.0
         else:
-            self._rested[-1].add(chunk[:, RATE].mean(axis=0), TUNING.rest_chunks)
+            self._rested[-1].add(chunk[:, RATE].mean(axis=0), RECORDER.rest_chunks)
             # A changing field, by a switch or added iron, is not marked as a rest.
-            chunk[:, RESTED] = (_changes(chunk[:, FIELD]) < TUNING.rest_field).all()
+            chunk[:, RESTED] = (_changes(chunk[:, FIELD]) < RECORDER.rest_field).all()
         self._held.append(chunk)
         if len(self._held) >= CHUNKS_OF_REST:
             gone = self._held.popleft()
             self._held[0][0, SPAN] = math.nan
-            self._pause += float(gone[-1, 0] - gone[0, 0]) + TUNING.row
+            self._pause += float(gone[-1, 0] - gone[0, 0]) + RECORDER.row
 
     def _keep(self, chunk: FloatArray) -> None:
         """Store a chunk with stamps of the drive's clock."""
@@ -262,7 +242,7 @@ class DriveRecorder:
         if self._chunks:
             last = float(self._chunks[-1][-1, 0])
             # A pause that was cut out leaves no gap; missing samples leave one.
-            early = last + TUNING.row - float(stamps[0])
+            early = last + RECORDER.row - float(stamps[0])
             if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
                 stamps = stamps + early
                 self._pause -= early
@@ -276,13 +256,13 @@ class DriveRecorder:
         if len(self._recent) < CHUNKS_OF_REST:
             return False
         rows = np.concatenate(list(self._recent))
-        if (np.abs(rows[-TUNING.chunk :, SPEED]) > TUNING.rest_speed).any():
+        if (np.abs(rows[-RECORDER.chunk :, SPEED]) > RECORDER.rest_speed).any():
             return False
         # A rest begins with a constant field; later, iron may be added to the resting robot.
         return bool(
-            (_changes(rows[:, RATE]) < TUNING.rest_rate).all()
-            and (rows[:, FORCE].std(axis=0) < TUNING.rest_force).all()
-            and (not field_too or (_changes(rows[:, FIELD]) < TUNING.rest_field).all())
+            (_changes(rows[:, RATE]) < RECORDER.rest_rate).all()
+            and (rows[:, FORCE].std(axis=0) < RECORDER.rest_force).all()
+            and (not field_too or (_changes(rows[:, FIELD]) < RECORDER.rest_field).all())
         )
 
 
@@ -290,4 +270,4 @@ def _changes(values: FloatArray) -> FloatArray:
     """Return the difference of both halves of values (n, 3) plus weighted spread, shape (3,)."""
     half = len(values) // 2
     gap = np.abs(values[:half].mean(axis=0) - values[half:].mean(axis=0))
-    return np.asarray(gap + TUNING.rest_noise * values.std(axis=0))
+    return np.asarray(gap + RECORDER.rest_noise * values.std(axis=0))

@@ -24,6 +24,7 @@ from magcal_ros.core.geometry.arrays import (
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
+from magcal_ros.core.samples.samples_tuning import BIAS_AT_REST
 
 FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
 ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
@@ -50,31 +51,6 @@ class LongestRest(NamedTuple):
 
     rate: FloatArray  # mean rate of the gyro, rad/s. Shape (3,).
     is_certain: bool  # whether a turn at this rate would have changed the field, which was constant
-
-
-@dataclass(frozen=True)
-class BiasAtRestTuning:
-    """When a robot counts as resting, and which part of a rest is used."""
-
-    block: float = 0.5  # seconds of samples that are averaged before they are compared
-    at_least: int = 4  # consecutive blocks in a rest
-    clear: float = 4.0  # sigmas of a block's mean by which two blocks at rest may differ
-    smallest_turn: float = 0.004
-    """Change of the field during a rest beyond white noise, over the field's range."""
-    shown: float = 3.0
-    """Least ratio of two changes of the field: by a turn at the gyro's rate (without a gyro, in the
-    whole window), and the limit of a rest."""
-    most_moved: float = 0.4
-    """Largest change of the field during a rest, over that by a turn at the gyro's rate."""
-    loose_rate: float = 0.01  # rad/s by which an engine or a person may rock a robot at rest
-    slow_share: float = 0.05
-    """Fraction of the turn's rate below which a constant rate counts as a rest."""
-    longest: float = 10.0
-    """Seconds of a rest next to the turn that are used; earlier, things may have been moved."""
-    fewest: int = 20  # rows of a turn; with fewer, the robot hardly moved
-
-
-TUNING = BiasAtRestTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +82,11 @@ def without_rests(
     time, field, rate = rows[:, 0], rows[:, FIELD], _mean_rates(rows)
     has_gyro = bool(np.isfinite(rate).all())
     first, end, bias = rests_around(time, field, rate if has_gyro else None)
-    if end - first < TUNING.fewest:
+    if end - first < BIAS_AT_REST.fewest:
         first, end = 0, len(rows)
     # In a long, thinned recording a rest may end long before the turn's first row, and is not used.
-    before = rows[:first][time[:first] > time[first] - TUNING.longest]
-    after = rows[end:][time[end:] < time[end - 1] + TUNING.longest]
+    before = rows[:first][time[:first] > time[first] - BIAS_AT_REST.longest]
+    after = rows[end:][time[end:] < time[end - 1] + BIAS_AT_REST.longest]
     rests = [_rest(before, before[-1], rows[first], has_gyro)] if len(before) else []
     rests += [_rest(after, after[0], rows[end - 1], has_gyro)] if len(after) else []
     sigma = math.inf
@@ -166,10 +142,10 @@ def rests_around(
     blocks = _split(time)
     starts, count = blocks[0], len(blocks[0])
     first, end = 0, len(time)
-    if count <= TUNING.at_least:
+    if count <= BIAS_AT_REST.at_least:
         return first, end, None
     rests = _rests_by_field(field, blocks) if rate is None else _rests(field, rate, blocks)
-    for rest in rests if count > 2 * TUNING.at_least else []:
+    for rest in rests if count > 2 * BIAS_AT_REST.at_least else []:
         # The block in which the robot starts or stops belongs to neither.
         if rest.first == 0 and rest.end < count:
             first = int(starts[rest.end - 1])
@@ -182,7 +158,7 @@ def rests_around(
 
 def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
     """Return the longest rest; None if there was none. Parameters as for `rests_around`."""
-    if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
+    if not len(time) or time[-1] - time[0] < BIAS_AT_REST.block * (BIAS_AT_REST.at_least + 1):
         return None
     # At rest the field shows no circle: the radius is assumed, as a usual level field.
     radius = 0.3 * usual_size(field)
@@ -206,7 +182,7 @@ def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, fl
 
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the first row and the number of rows of each block."""
-    block = ((time - time[0]) / TUNING.block).astype(int)
+    block = ((time - time[0]) / BIAS_AT_REST.block).astype(int)
     _, first, count = np.unique(block, return_index=True, return_counts=True)
     return first, count
 
@@ -233,7 +209,7 @@ def _rests(
 ) -> list[_SteadyInterval]:
     """Return every stretch in which the robot rested."""
     rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
-    creeps = TUNING.slow_share * float(np.sort(rates)[-TUNING.at_least])
+    creeps = BIAS_AT_REST.slow_share * float(np.sort(rates)[-BIAS_AT_REST.at_least])
     found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
     means = [float(np.linalg.norm(each.rates.mean(axis=0))) for each in found]
     return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
@@ -241,8 +217,10 @@ def _rests(
 
 def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_SteadyInterval]:
     """Return every rest without a gyro: the field is constant over the whole stretch."""
-    alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
-    turned = np.ptp(alone.mean, axis=0) > TUNING.shown * np.median(alone.limit, axis=0)
+    alone = _Blocks.of(
+        field, *blocks, BIAS_AT_REST.smallest_turn * float(np.ptp(field, axis=0).max())
+    )
+    turned = np.ptp(alone.mean, axis=0) > BIAS_AT_REST.shown * np.median(alone.limit, axis=0)
     return [
         _SteadyInterval(start, end, np.zeros((end - start, 3)))
         for start, end in (_runs(alone.stays) if turned.any() else [])
@@ -255,17 +233,19 @@ def _steady(
 ) -> list[_SteadyInterval]:
     """Return where field and rate are constant; `radius` is that of the field's circle."""
     swing = float(np.ptp(field, axis=0).max())
-    fields = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
-    rates = _Blocks.of(rate, *blocks, TUNING.loose_rate)
+    fields = _Blocks.of(field, *blocks, BIAS_AT_REST.smallest_turn * swing)
+    rates = _Blocks.of(rate, *blocks, BIAS_AT_REST.loose_rate)
     found = []
     for start, end in _runs(fields.stays & rates.stays):
         inside, seen = rates.mean[start:end], fields.mean[start:end]
         # The change of the field by a turn at the mean rate.
-        turned = float(np.linalg.norm(inside.mean(axis=0))) * TUNING.block * (len(inside) - 1)
+        turned = float(np.linalg.norm(inside.mean(axis=0))) * BIAS_AT_REST.block * (len(inside) - 1)
         chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
         moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
-        shows = chord > TUNING.shown * float(fields.limit[start:end].max())
-        found.append(_SteadyInterval(start, end, inside, moved < TUNING.most_moved * chord, shows))
+        shows = chord > BIAS_AT_REST.shown * float(fields.limit[start:end].max())
+        found.append(
+            _SteadyInterval(start, end, inside, moved < BIAS_AT_REST.most_moved * chord, shows)
+        )
     return found
 
 
@@ -279,13 +259,13 @@ class _Blocks:
 
     @classmethod
     def of(cls, values: FloatArray, first: IntArray, count: IntArray, allowed: float) -> _Blocks:
-        """Average, and compare each block with the next `TUNING.at_least` - 1 blocks."""
+        """Average, and compare each block with the next `BIAS_AT_REST.at_least` - 1 blocks."""
         mean = block_means(values, first)
         noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
-        limit = allowed + TUNING.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
+        limit = allowed + BIAS_AT_REST.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
         stays = np.zeros(len(mean), dtype=bool)
-        stays[: 1 - TUNING.at_least] = True
-        for k in range(1, TUNING.at_least):
+        stays[: 1 - BIAS_AT_REST.at_least] = True
+        for k in range(1, BIAS_AT_REST.at_least):
             apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
             stays[: len(apart)] &= ~apart.any(axis=1)
         return cls(mean, limit, stays)
@@ -293,4 +273,4 @@ class _Blocks:
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:
     """Return first block and end of every stretch without a change from block to block."""
-    return [(first, end + TUNING.at_least - 1) for first, end in runs(stays)]
+    return [(first, end + BIAS_AT_REST.at_least - 1) for first, end in runs(stays)]

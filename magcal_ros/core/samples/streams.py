@@ -5,39 +5,16 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
 from magcal_ros.core.geometry.vec3 import Triple, dot, interpolate, length, scaled
 from magcal_ros.core.samples.bursts import BurstWatch
+from magcal_ros.core.samples.samples_tuning import STREAMS
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
 """About half a period of the fastest sway of a body, 2 Hz, seconds: slower samples miss it."""
-
-
-@dataclass(frozen=True)
-class StreamTuning:
-    """Limits of valid samples, and of the gaps between samples."""
-
-    restart_after: int = 10
-    """Consecutive stamps before the newest after which time was set back (a looped bag)."""
-    max_gap: float = 0.2  # seconds; IMU samples further apart are usually not interpolated between
-    longest_gyro_step: float = 0.5
-    """Longest gap between two samples over which the gyro is integrated, seconds."""
-    longest_field_gap: float = 0.6
-    """The same for the field of a drive, seconds; gaps at 2 Hz are often longer than 0.5 s."""
-    remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
-    smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
-    largest_field: float = 1e-3
-    """Tesla, twenty times the Earth's field. More is a unit error or a magnet on the sensor."""
-    largest_force: float = 1e5
-    """m/s². No accelerometer reads more, milli-g published as m/s² included."""
-    largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
-
-
-STREAMS = StreamTuning()
 
 
 class DropReason(str, Enum):

@@ -13,7 +13,8 @@ from magcal_ros.core.geometry.arrays import FloatArray, block_means, trapezoids
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.streams import STREAMS, SWAY, DropReason, Streams
+from magcal_ros.core.samples.samples_tuning import COMPLAINTS, STREAMS
+from magcal_ros.core.samples.streams import SWAY, DropReason, Streams
 from magcal_ros.core.samples.window import Window
 
 LOCAL_STRENGTH = (
@@ -219,21 +220,6 @@ def _slow_gyro_in_words(window: Window) -> str:
     )
 
 
-@dataclass(frozen=True)
-class DiagnosisTuning:
-    """When a stream causes a complaint."""
-
-    worth_a_word: float = 0.02  # fraction of dropped samples from which they are reported
-    most_repeats: float = 0.9
-    """Fraction of repeated field values from which the sensor is frozen or the robot at rest."""
-    largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
-    ahead_in_gaps: float = 1.5
-    """Largest lead of the field over the IMU by jitter, in `max_gap`."""
-
-
-TUNING = DiagnosisTuning()
-
-
 NOT_NUMBERS = "samples are not finite (NaN or infinite): let the driver leave them out"
 
 WORDS = {
@@ -275,9 +261,9 @@ def complaints(streams: Streams, imu: InputCounts, mag: InputCounts) -> list[str
         found += [
             f"{counts.topic}: {counts.drops[drop]} of {counts.messages} {words}"
             for drop, words in all_words.items()
-            if counts.drops[drop] > TUNING.worth_a_word * max(counts.messages, 1)
+            if counts.drops[drop] > COMPLAINTS.worth_a_word * max(counts.messages, 1)
         ]
-    if mag.drops[DropReason.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
+    if mag.drops[DropReason.REPEATED] > COMPLAINTS.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     for counts, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
         found += [f"{counts.topic}: {words}"] if (words := stamps.bursts.words) else []
@@ -298,10 +284,10 @@ def stamp_offset(streams: Streams) -> float:
     """
     least, most = streams.lead_at_imu, streams.lead_at_field
     if math.isfinite(least) and least > min(
-        TUNING.largest_offset, TUNING.ahead_in_gaps * streams.max_gap
+        COMPLAINTS.largest_offset, COMPLAINTS.ahead_in_gaps * streams.max_gap
     ):
         return least
-    return most if math.isfinite(most) and most < -TUNING.largest_offset else 0.0
+    return most if math.isfinite(most) and most < -COMPLAINTS.largest_offset else 0.0
 
 
 MEAN_OVER = 4.0  # seconds of one mean; a hand changes its velocity by little over this time

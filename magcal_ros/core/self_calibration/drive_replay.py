@@ -16,8 +16,8 @@ from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
-    STREAMS,
     FieldSample,
     ImuSample,
     Pairer,

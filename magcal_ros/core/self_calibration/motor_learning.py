@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motor_field_filter import PLACE_FIELD
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)

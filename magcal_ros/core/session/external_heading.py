@@ -16,7 +16,8 @@ from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.streams import STREAMS, HeadingSample
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import HeadingSample
 from magcal_ros.core.session.session_tuning import KNOWN
 from magcal_ros.core.up.filter import GYRO
 

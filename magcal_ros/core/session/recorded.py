@@ -28,8 +28,8 @@ from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
 from magcal_ros.core.multi_turn.result import TurnResult
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
-    STREAMS,
     DropReason,
     FieldSample,
     HeadingSample,

@@ -21,7 +21,8 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.vec3 import dot, length
-from magcal_ros.core.samples.streams import STREAMS, Pair
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.session_tuning import ROTATION
 

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import (
     COLUMNS,
     FIELD,
@@ -26,7 +26,8 @@ from magcal_ros.core.samples.rest import (
     GyroAtRest,
     without_rests,
 )
-from magcal_ros.core.samples.streams import STREAMS, Pair
+from magcal_ros.core.samples.samples_tuning import COVERAGE, STREAMS
+from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window, steps_of
 from magcal_ros.core.session.session_tuning import SESSION
 

@@ -1,4 +1,4 @@
-"""The current of a battery in each node.
+"""The current of a battery in each node, and what its uncertainty adds to the field.
 
 Between two messages the current is modelled as a random walk. Its variance grows at one rate at
 rest and at another in motion, and also where the turn rate changes, as motors start and stop there.
@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
 from magcal_ros.core.samples.battery import Battery
-from magcal_ros.core.smoother.unknowns import UNKNOWNS, USUALLY_LATE
+from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE, UNKNOWNS, USUALLY_LATE
 
 MARGIN = 1e4  # of the clock before the first and after the last message, s and A²
 POINTS = (np.arange(8) + 0.5) / 8.0  # fractions of a node at which the current is computed
@@ -227,3 +227,26 @@ class Currents:
     def part(self, rows: slice) -> Currents:
         """Return the currents of some nodes."""
         return Currents(self.battery, self.clock, self.begin[rows], self.end[rows])
+
+
+def scale_by_current(
+    currents: Currents | None, shared: FloatArray, variance: FloatArray, most: float
+) -> FloatArray | None:
+    """Return what scales the field's residuals down along the motors' field, shape (n, 3, 3).
+
+    The scaled residuals have `variance` per axis (n,) in all directions, including the uncertainty
+    of the current. `most` is the largest field per axis that the motors may add at the largest
+    current, µT, until the iterations have estimated it. None without currents.
+    """
+    if currents is None:
+        return None
+    gain = shared[AT["motors_current"]]
+    unknown = currents.variance(shared[CURRENT_LATE])
+    square, other = float(gain @ gain), (most / currents.battery.largest) ** 2
+    along, across = (
+        np.sqrt(variance / (variance + each * unknown)) for each in (square + other, other)
+    )
+    direction = np.outer(gain, gain) / max(square, 1e-12)
+    return np.asarray(
+        along[:, None, None] * direction + across[:, None, None] * (np.eye(3) - direction)
+    )

@@ -11,6 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors, factors_by_field
+from magcal_ros.core.smoother.currents import scale_by_current
 from magcal_ros.core.smoother.earth import GaussianEarthPrior
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Residuals
 from magcal_ros.core.smoother.nodes import Nodes
@@ -18,7 +19,6 @@ from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, solve
 from magcal_ros.core.smoother.state import Course, State, damped, level_axes
-from magcal_ros.core.smoother.unknown_current import with_unknown_current
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
@@ -226,19 +226,19 @@ def _changing(
 def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     """Return all residuals with their variances."""
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
-    seconds, places = nodes.seconds, point.places
+    seconds, places, course = nodes.seconds, point.places, point.course
     measured, changing = partial(_measured, model, point), partial(_changing, model, point)
-    per_node = nodes.usual_count / nodes.count
-    per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
+    per_node = (nodes.usual_count + (nodes.noise / sizes["field"]) ** 2) / nodes.count
     # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
-    per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
+    per_node = per_node + course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = nodes.usual_samples / nodes.samples
 
-    course = point.course
     field = factors.magnetic(course, state, places)
     most = 0.0 if point.is_robust else LARGEST_MOTORS / math.sqrt(12.0)
-    field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node, most)
+    variance = sizes["field"] ** 2 * per_node
+    scale = scale_by_current(nodes.currents, state.shared, variance, most)
+    field = field if scale is None else field.times(scale)
     # The fluctuation of running motors is independent of the field in the rest before or after.
     still = course.still
     correlation = np.exp(-seconds / lengths.body_field) * (still[1:] == still[:-1])

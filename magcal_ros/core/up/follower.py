@@ -23,7 +23,8 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, ImuSample, enclosing
+from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.streams import ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation

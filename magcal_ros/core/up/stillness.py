@@ -26,8 +26,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.samples.rest import TUNING as RESTED
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.samples_tuning import BIAS_AT_REST, STREAMS
 from magcal_ros.core.up.filter import CHECK, REST
 
 
@@ -174,7 +173,7 @@ class ShakenRest:
     """Averages blocks, and gives the gyro's bias if the means are constant for some seconds."""
 
     def __init__(self) -> None:
-        self._means: deque[FloatArray] = deque(maxlen=RESTED.at_least)
+        self._means: deque[FloatArray] = deque(maxlen=BIAS_AT_REST.at_least)
         self._begin()
 
     def _begin(self) -> None:
@@ -203,13 +202,13 @@ class ShakenRest:
         mean = each.mean(axis=0)
         gaps = np.linalg.norm(each - mean, axis=2)
         field_bound = REST.shaken_field * np.linalg.norm(mean[2])
-        most = (REST.shaken_force, RESTED.loose_rate, field_bound)
-        if len(each) < RESTED.at_least or (gaps > most).any():
+        most = (REST.shaken_force, BIAS_AT_REST.loose_rate, field_bound)
+        if len(each) < BIAS_AT_REST.at_least or (gaps > most).any():
             return None
         # The next estimate uses other seconds.
         self._means.clear()
-        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (RESTED.at_least - 1))
-        variance = REST.shaken_sigma**2 + scatter / RESTED.at_least
+        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (BIAS_AT_REST.at_least - 1))
+        variance = REST.shaken_sigma**2 + scatter / BIAS_AT_REST.at_least
         return mean[0], mean[1], variance
 
 
