@@ -296,8 +296,10 @@ class MountingYawEstimator:
         """Use the results of a fit: the best source without a fault is used."""
         self.found = next((found for found in checks.values() if found.fault is None), None)
         for source, found in checks.items():
-            # A fault lasts until a fit shows that it does not.
-            if source not in self.faults or found.fault is not None or found.is_known:
+            # A fault lasts until a fit shows that it does not. A speed that stays the same shows
+            # nothing while the vehicle stands or keeps its velocity.
+            is_right = found.is_known and not found.is_constant
+            if source not in self.faults or found.fault is not None or is_right:
                 self.checked[source] = found
             self._speedometer.tracks[source].delay = found.delay
         self._speedometer.distrusted = set(self.faults)
