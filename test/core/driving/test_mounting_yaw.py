@@ -116,6 +116,19 @@ def test_frozen_odometry_is_replaced_immediately(seed):
     assert 80.0 < named[0] < 105.0
 
 
+def test_a_frozen_speed_stays_a_fault_while_the_vehicle_stands():
+    named = []
+
+    def watch(estimator, stamp):
+        named.append(estimator.mounting.faults.get(ODOMETRY))
+
+    vehicle = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
+    wheels = Wheels(frozen_from=40.0)
+    follow(driven(city_legs(2, 100.0), 2, vehicle, wheels=wheels, receiver=None), watch=watch)
+    first = named.index(SpeedFault.FROZEN)
+    assert set(named[first:]) == {SpeedFault.FROZEN}
+
+
 def test_a_constant_speed_is_not_called_frozen():
     rng = np.random.default_rng(3)
     legs = joined(city(rng, 70.0), standing(20.0), motorway(rng, 60.0))
