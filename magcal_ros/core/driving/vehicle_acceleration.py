@@ -36,7 +36,7 @@ class VehicleAcceleration:
     `turn` is the force over the change of velocity of an IMU that faces ahead: its angle is minus
     the IMU's yaw, and noise of the speed makes it smaller than one. `noise` is the residual of the
     force, m/s². While `is_yaw_known` is false, a vehicle is assumed to drive forwards. `is_used` is
-    whether the speed explains the force of the last seconds.
+    whether the speed explains the force of the last seconds, and is not that of fixes alone.
     """
 
     def __init__(self) -> None:
@@ -146,7 +146,9 @@ class VehicleAcceleration:
         self._seen = max(abs(seen) ** 2, keeps * self._seen)
         self._left = max(abs(left) ** 2, keeps * self._left)
         limit = max((1.0 - MOUNTING.explained) * self._seen, (CLEAR * ACCELERATION.quiet) ** 2)
-        self.is_used = self.is_yaw_known and self._left < limit
+        # Fixes smear starts and stops over seconds: what is left would tilt up more than they do.
+        is_prompt = track.source is not SpeedSource.FIXES
+        self.is_used = self.is_yaw_known and is_prompt and self._left < limit
         self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
     def _decide(self, product: float) -> None:
