@@ -35,7 +35,7 @@ class SpeedTuning:
     """Latency of a receiver's stamps until it is measured, seconds; .4 to .8 were seen."""
     shortest: float = 0.045
     """Shortest interval of samples that are used, seconds; the others are skipped."""
-    outliers: float = 0.02  # largest fraction of samples with impossible jumps, over ten of them
+    outliers: float = 0.02  # largest fraction of samples with impossible jumps
 
 
 @dataclass(frozen=True)

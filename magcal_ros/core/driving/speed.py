@@ -81,6 +81,7 @@ class SpeedTrack:
         """Accept a sample; after a jump only if the next sample confirms it."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._kept) and is_jump(self._kept[-1], sample)
+        # A running mean over the number of samples of which ten may be outliers.
         self.outlier_share += (is_wild - self.outlier_share) * 0.1 * SPEED.outliers
         if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample

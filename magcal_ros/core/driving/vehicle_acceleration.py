@@ -65,11 +65,6 @@ class VehicleAcceleration:
         """Minus one while a vehicle with an unsigned speed reverses, else one."""
         return self._trip.sign
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether the force has determined the sign since the last stop."""
-        return self._trip.is_clear
-
     def trip_at(self, stamp: float) -> Trip:
         """Return the trip at a stamp; its end is infinite as long as it lasts."""
         return self._trip if stamp > self._before.end else self._before

@@ -51,7 +51,7 @@ class Watch:
         change, clock = found.since_change, found.clock
         fits = [*found.candidates, *(() if change is None else (change,))]
         judged = [(fit, tuple(checks_of(fit, old))) for fit in fits]
-        differing = [each for each in judged if any(map(_contradicts, each[1]))]
+        differing = [(fit, checks) for fit, checks in judged if any(map(_contradicts, checks))]
         if any(fit.is_proved for fit, _ in differing):
             _, findings = min(differing, key=_rank)
             since = self.since if self.is_stale else max(fit.start for fit, _ in differing)
@@ -60,10 +60,10 @@ class Watch:
         agreeing = [
             (fit, checks)
             for fit, checks in judged
-            if fit.kind is CandidateKind.ALL
+            if (fit, checks) not in differing
+            and fit.kind is CandidateKind.ALL
             and fit.start >= self.contradicted_at
             and checks[0].is_judged
-            and not any(map(_contradicts, checks))
         ]
         if agreeing:
             _, findings = min(agreeing, key=_rank)

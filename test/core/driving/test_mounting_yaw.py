@@ -157,7 +157,8 @@ def directions(drive, after):
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
             # Slow parking stays undecided, and counts as forwards until then.
-            taken.append(estimator.acceleration.sign if estimator.acceleration.is_clear else 0.0)
+            trip = estimator.acceleration.trip_at(stamp)
+            taken.append(trip.sign if trip.is_clear else 0.0)
             moment = next(moments, math.inf)
 
     follow(drive, watch=watch)
