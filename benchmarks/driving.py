@@ -254,9 +254,10 @@ def directions(drive: Drive) -> tuple[int, int]:
 
 
 def recorded(folder: Path) -> None:
-    """Print the results of recorded cars: heading with and without their fixes, beta, o."""
-    show(("recording", "heading RMS without speed", "with", "beta", "-o"))
-    show(("---",) * 5)
+    """Print the results of recorded cars with and without their fixes."""
+    show(("recording", "up by acceleration, ° per m/s²: without speed", "with",
+          "heading RMS without speed", "with", "beta", "-o"))  # fmt: skip
+    show(("---",) * 7)
     for name, turned in CARS.items():
         if not (folder / name).is_dir() or not (folder / turned).is_dir():
             continue
@@ -268,7 +269,7 @@ def recorded(folder: Path) -> None:
             continue
         without = follow(recording.samples(), calibration)
         seen = follow(merged(recording, truth), calibration)
-        cells = [heading_rms(each, truth) for each in (without, seen)]
+        cells = [found(each, truth) for found in (lean, heading_rms) for each in (without, seen)]
         beta = "-" if seen.mounting is None else angle(seen.mounting.yaw, seen.mounting.sigma)
         course = seen.course
         offset = "-" if course is None else angle(course.offset, course.sigma)
@@ -294,6 +295,14 @@ def merged(recording: Recording, truth: FloatArray) -> list[AnySample]:
     """Return a recording's samples with its fixes among them."""
     fixes = [PositionSample(row[0], row[3], row[4]) for row in truth.tolist()]
     return sorted([*recording.samples(), *fixes], key=lambda sample: sample.stamp)
+
+
+def lean(seen: FollowedDrive, truth: FloatArray) -> str:
+    """Return by how much up leans with the acceleration along the course, degrees per m/s²."""
+    faster = np.interp(seen.stamps, truth[:, 0], np.gradient(truth[:, 2], truth[:, 0]))
+    faster -= faster.mean()
+    slope = faster @ (seen.ups - seen.ups.mean(axis=0)) / (faster @ faster)
+    return f"{math.degrees(float(np.linalg.norm(slope))):.2f}"
 
 
 def heading_rms(seen: FollowedDrive, truth: FloatArray) -> str:

@@ -137,7 +137,7 @@ class Travel:
         course = estimator.course
         return {
             "speed_from": self._topics.get(estimator.source),
-            "own_acceleration_taken_off": estimator.acceleration.is_used,
+            "own_acceleration_taken_off": estimator.acceleration.is_measured,
             "metres": round(estimator.metres, -1),
             "drifts": estimator.drifts,
             "course_gap_deg": _degrees(self.driven_yaw.compass_gap),

@@ -52,8 +52,8 @@ class TiltErrors:
             return
         self.take(sample, ride)
 
-    def take(self, sample, ride, linear_acceleration=None):
-        self.follower.add(sample, linear_acceleration)
+    def take(self, sample, ride, measured=None):
+        self.follower.add(sample, measured)
         up = self.follower.at(sample.stamp, 0.2)
         sine = np.linalg.norm(crossed(np.array(up.direction), ride.attitude[:, 2]))
         self.errors.append(math.degrees(math.asin(min(1.0, sine))))

@@ -73,6 +73,9 @@ class MountingYawTuning:
     floor: float = math.radians(0.3)  # least sigma, radians: suspension, tyres
     largest_delay: float = 8.0  # largest latency that is tried, seconds; the least is -1/8 of it
     reuse: float = 8.0  # seconds between fits
+    density_known_for: float = 40.0
+    """Weight of the prior of the residual's spectral density, seconds of a drive. In the prior,
+    errors last as long as accelerations."""
     rounds: int = 6  # reweighted fits, also of a course
 
 

@@ -27,6 +27,7 @@ from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SPEED
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.driving.speed import Speedometer, SpeedTrack
 from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
+from magcal_ros.core.up.filter import FILTER
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """Units of speed by their number in one m/s."""
@@ -56,6 +57,8 @@ class MountingYaw:
     explained: float  # fraction of the force's changes that the speed explains
     energy: float  # integrated square of the changes of the force, m²/s³
     noise: float  # residual of the force, m/s²
+    density: float
+    """Spectral density of the residual in body axes at the frequency zero, per axis, m²/s³."""
     is_constant: bool = False  # whether the speed has not changed lately
     jumps: bool = False  # whether the speed often changes by more than a vehicle's can
 
@@ -88,6 +91,7 @@ class Changes(NamedTuple):
 
     stamp: FloatArray  # shape (n,), seconds
     seconds: FloatArray  # length of each tick, shape (n,)
+    ahead: ComplexArray  # unit vector along the body's x in the frame, shape (n,)
     force: ComplexArray  # shape (n,)
     columns: ComplexArray  # change of velocity, and of the velocity of a lever arm, shape (2, n)
 
@@ -130,7 +134,7 @@ class TickTable(NamedTuple):
             return np.asarray(total[:3] / total[3].real)
 
         rows = mean(MOUNTING.smooth) - mean(HIGHPASS)
-        return Changes(self.stamp[known], self.seconds[known], rows[0], rows[1:])
+        return Changes(self.stamp[known], self.seconds[known], ahead[known], rows[0], rows[1:])
 
     def signed(self, speed: FloatArray, turn: complex) -> FloatArray:
         """Return a speed with the sign of the force in each trip.
@@ -151,7 +155,7 @@ def fit_mounting_yaw(changes: Changes, delay: float) -> MountingYaw | None:
     The speeds are already corrected by the latency `delay`, seconds. Least squares with Student
     weights. Errors within a block of time count as fully correlated.
     """
-    stamp, seconds, force, columns = changes
+    stamp, seconds, ahead, force, columns = changes
     if len(force) < HIGHPASS // 4:
         return None
     squares = np.abs(force) ** 2
@@ -174,6 +178,11 @@ def fit_mounting_yaw(changes: Changes, delay: float) -> MountingYaw | None:
     variance += noise**2 * float(inverse[0, 0].real) / abs(z) ** 2
     # A wrong speed explains nothing, but does not count as worse than no speed.
     left = float(np.sum(np.minimum(np.abs(error) ** 2, squares)))
+    sums = np.add.reduceat(error / ahead * seconds, blocks)
+    known = MOUNTING.density_known_for
+    density = known * 2.0 * noise**2 * FILTER.acceleration_lasts
+    density += 0.5 * float(np.sum(np.abs(sums) ** 2))
+    density /= known + float(np.sum(seconds))
     return MountingYaw(
         -cmath.phase(z),
         min(math.pi, math.sqrt(variance + MOUNTING.floor**2)),
@@ -182,6 +191,7 @@ def fit_mounting_yaw(changes: Changes, delay: float) -> MountingYaw | None:
         1.0 - left / max(float(np.sum(squares)), 1e-300),
         float(squares @ seconds),
         noise,
+        density,
     )
 
 

@@ -25,7 +25,7 @@ from magcal_ros.core.samples.streams import (
     VelocitySample,
 )
 from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.core.up.stillness import ZERO
+from magcal_ros.core.up.propagation import LinearAcceleration
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 
@@ -102,14 +102,11 @@ class TravelEstimator:
     def use_mounting_yaw(self, yaw: float, sigma: float) -> None:
         """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is known."""
         if sigma < MOUNTING.usable and self.known_mounting is None:
-            self._use_yaw(yaw, 1.0)
+            self._use_yaw(yaw, sigma, 1.0)
             self._ahead = math.inf
 
-    def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
-        """Add an IMU sample; return the vehicle's acceleration, m/s², body axes.
-
-        None if it is not known; nothing may then be subtracted.
-        """
+    def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> LinearAcceleration | None:
+        """Add an IMU sample; return the vehicle's acceleration, None if it is not known."""
         if not self.is_heard:
             return None
         tick = self._frame.add(sample, gyro_bias)
@@ -188,14 +185,16 @@ class TravelEstimator:
             self.course = found[1]
             mounting = self.mounting.found
             if mounting is not None and mounting.is_known:
-                self._use_yaw(mounting.yaw, min(1.0, mounting.scale))
+                error = math.hypot(mounting.sigma, mounting.scale - 1.0)
+                self._use_yaw(mounting.yaw, error, min(1.0, mounting.scale))
                 self.acceleration.noise = mounting.noise
+                self.acceleration.density = mounting.density
 
         self._run(lambda: (checks(), course()), then)
 
-    def _use_yaw(self, yaw: float, scale: float) -> None:
+    def _use_yaw(self, yaw: float, error: float, scale: float) -> None:
         self.acceleration.turn = cmath.rect(scale, -yaw)
-        self.acceleration.is_yaw_known = True
+        self.acceleration.error, self.acceleration.is_yaw_known = error, True
 
     def _settle(self) -> None:
         """Use chords once it is known whether the vehicle drove forwards."""
@@ -214,16 +213,11 @@ class TravelEstimator:
 
 
 class TravelReplay:
-    """Merges travel samples into a recording's readings, and follows up and speed along it.
-
-    `acceleration` is the vehicle's acceleration at the newest IMU sample, m/s², body axes; zero if
-    it is unknown.
-    """
+    """Merges travel samples into a recording's readings, and follows up and speed along it."""
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams
         self.estimator, self.up = TravelEstimator(), UpFollower()
-        self.acceleration: Triple = ZERO
 
     def readings(
         self, readings: Iterable[ImuSample | FieldSample | None]
@@ -245,7 +239,6 @@ class TravelReplay:
                     continue
                 acceleration = self.estimator.add_imu(reading, self.up.gyro_bias.rate)
                 self.up.add(reading, acceleration)
-                self.acceleration = acceleration or ZERO
             elif isinstance(reading, FieldSample):
                 if self._streams is not None and not self._streams.add_field(reading):
                     continue

@@ -12,6 +12,8 @@ from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.speed import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple, minus
 from magcal_ros.core.knowledge import CLEAR
+from magcal_ros.core.up.filter import FILTER
+from magcal_ros.core.up.propagation import LinearAcceleration
 
 
 class Trip(NamedTuple):
@@ -27,20 +29,21 @@ class Trip(NamedTuple):
 
 
 class VehicleAcceleration:
-    """Subtracts the vehicle's acceleration from the force.
+    """Measures the vehicle's acceleration, and the direction of travel.
 
     Over the last second with a known speed, the mean force minus the change of velocity is
     gravity, in the frame stabilised by the gyro. It is rotated into the present body axes, so that
     a speed with latency or at 1 Hz can be used.
 
     `turn` is the force over the change of velocity of an IMU that faces ahead: its angle is minus
-    the IMU's yaw, and noise of the speed makes it smaller than one. `noise` is the residual of the
-    force, m/s². While `is_yaw_known` is false, a vehicle is assumed to drive forwards. `is_used` is
-    whether the speed explains the force of the last seconds, and is not that of fixes alone.
+    the IMU's yaw, and noise of the speed makes it smaller than one. `error` is its sigma. `noise`
+    (m/s²) and `density` (m²/s³) are the residual of the force and its spectral density. While `is_yaw_known` is false, a vehicle is assumed
+    to drive forwards.
     """
 
     def __init__(self) -> None:
-        self.turn, self.is_yaw_known, self.noise = 1.0 + 0j, False, 0.3
+        self.turn, self.error, self.is_yaw_known = 1.0 + 0j, 0.0, False
+        self.noise, self.density = 0.3, 0.36
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[tuple[Tick, complex]] = deque()
         self._key: tuple[SpeedSource, float] | None = None
@@ -56,9 +59,12 @@ class VehicleAcceleration:
 
     def _try_anew(self) -> None:
         self._matched.clear()
-        self._gravity: tuple[float, Triple] | None = None
-        self._seen = self._left = 0.0
-        self.is_used = False
+        self._gravity: tuple[float, Triple, float] | None = None  # with the size of own
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the acceleration is measured."""
+        return self.is_yaw_known and self._gravity is not None
 
     @property
     def sign(self) -> float:
@@ -97,13 +103,17 @@ class VehicleAcceleration:
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
 
-    def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to subtract from a specific force, m/s², body axes; None if unknown."""
-        since, gravity = self._gravity or (math.inf, force)
-        is_known = self.is_used and 0.0 <= stamp - since <= ACCELERATION.oldest
+    def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> LinearAcceleration | None:
+        """Return the acceleration at a specific force, m/s², body axes; None if unknown."""
+        since, gravity, size = self._gravity or (math.inf, force, 0.0)
+        is_known = self.is_yaw_known and 0.0 <= stamp - since <= ACCELERATION.oldest
         if not is_known or frame.axes is None:
             return None
-        return minus(force, frame.to_body(gravity))
+        by_turn = (size * self.error) ** 2
+        variance = self.noise**2 + by_turn
+        density = self.density + 2.0 * by_turn * FILTER.speed_lasts
+        own = minus(force, frame.to_body(gravity))
+        return LinearAcceleration(own, math.sqrt(variance), density / (2.0 * variance))
 
     def _meet(self, tick: Tick, speed: float, track: SpeedTrack) -> None:
         moves = abs(speed) > ACCELERATION.speed_at_rest
@@ -135,16 +145,8 @@ class VehicleAcceleration:
         if not track.is_signed and self._moves:
             self._decide(product)
         own *= self.sign
-        left = seen - own
-        self._rest += end.seconds / ACCELERATION.memory * left
-        keeps = 1.0 - end.seconds / ACCELERATION.memory
-        self._seen = max(abs(seen) ** 2, keeps * self._seen)
-        self._left = max(abs(left) ** 2, keeps * self._left)
-        limit = max((1.0 - MOUNTING.explained) * self._seen, (CLEAR * ACCELERATION.quiet) ** 2)
-        # Fixes smear starts and stops over seconds: what is left would tilt up more than they do.
-        is_prompt = track.source is not SpeedSource.FIXES
-        self.is_used = self.is_yaw_known and is_prompt and self._left < limit
-        self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
+        self._rest += end.seconds / ACCELERATION.memory * (seen - own)
+        self._gravity = (end.stamp, (x - own.real, y - own.imag, z), abs(own))
 
     def _decide(self, product: float) -> None:
         """Accumulate the evidence for the direction of travel since the last stop.
@@ -157,7 +159,4 @@ class VehicleAcceleration:
         odds = self._odds + 2.0 * product / (MOUNTING.smooth * self.noise**2)
         self._odds = min(max(odds, -most), most)
         if abs(self._odds) == most:
-            sign = math.copysign(1.0, self._odds)
-            if sign != self.sign:
-                self._seen = self._left = 0.0
-            self._trip = Trip(sign, True)
+            self._trip = Trip(math.copysign(1.0, self._odds), True)

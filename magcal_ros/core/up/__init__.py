@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     """
     filter: REST
     follower: Levelling Up UpFollower propagated_up
-    propagation: GyroBias
+    propagation: GyroBias LinearAcceleration
     stillness: BlockMeans GyroCheck ShakenRest SteadyInterval
     """,
 )

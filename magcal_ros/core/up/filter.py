@@ -39,8 +39,8 @@ class FilterTuning:
     the slope of a road changes by 1 to 2°."""
     usual_acceleration: float = 0.1  # g, sigma per axis of a moving robot
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
-    given_acceleration: float = 0.03  # g, the same if the acceleration is measured
-    given_speed: float = 0.5  # m/s, the same
+    right: float = 0.95  # prior probability that a measured acceleration is right
+    right_lasts: float = 30.0  # seconds for which it stays right or wrong, on the average
     acceleration_lasts: float = 2.0
     """Correlation time of an acceleration, and of the sway of a rolling robot, seconds: vehicles
     accelerate for 2 to 5 s."""
@@ -161,6 +161,7 @@ class UpFilter:
         self.covariance[3:6, 3:6] = IDENTITY * FILTER.bias_sigma**2
         self._transition = np.eye(12)
         self._reads: FloatArray = np.hstack([IDENTITY, np.zeros((3, 6)), IDENTITY])
+        self._reads_up: FloatArray = np.eye(3, 12)
 
     @property
     def up(self) -> FloatArray:
@@ -256,6 +257,10 @@ class UpFilter:
         reads[:, 6:9] = _centripetal(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
         self._correct(reads, variance + FILTER.floor**2, left)
+
+    def observe_up(self, innovation: FloatArray, variance: float) -> None:
+        """Update with up as a measured acceleration gives it, minus the propagated one, g."""
+        self._correct(self._reads_up, variance, innovation)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Update with the mean rate of a block without a turn.

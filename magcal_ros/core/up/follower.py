@@ -16,7 +16,6 @@ from magcal_ros.core.geometry.vec3 import (
     distance,
     interpolate,
     length,
-    minus,
     propagated,
     scaled,
     unit_triple,
@@ -27,7 +26,7 @@ from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
-from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
+from magcal_ros.core.up.propagation import GyroBias, GyroPropagation, LinearAcceleration
 from magcal_ros.core.up.stillness import ZERO, DeadAxes
 
 
@@ -199,19 +198,13 @@ class UpFollower:
         """
         self._propagation.field.add(stamp, field)
 
-    def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
-        """Add an IMU sample; after a gap the estimate starts again.
-
-        `linear_acceleration` (m/s², body axes) of the robot, if it is known, is subtracted from the
-        specific force: with a speed v it is (dv/dt, v w_z, 0).
-        """
+    def add(self, sample: ImuSample, measured: LinearAcceleration | None = None) -> None:
+        """Add an IMU sample, and a measured acceleration; after a gap the estimate starts again."""
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample
         seconds = math.inf if last is None else sample.stamp - last.stamp
-        is_given = linear_acceleration is not None
-        felt = minus(sample.force, linear_acceleration or ZERO)
-        force = scaled(felt, 1.0 / STANDARD_GRAVITY)
+        force = scaled(sample.force, 1.0 / STANDARD_GRAVITY)
         if seconds <= 0.0:
             self._ups.clear()
         follows = last is not None and 0.0 < seconds <= STREAMS.longest_gyro_step
@@ -222,13 +215,13 @@ class UpFollower:
         follows = follows and propagation.tilt_is_hidden is was_hidden
         if rate is not None:
             if follows and last is not None and has_gyro(last):
-                propagation.add(stamp, force, rate, seconds, is_given)
+                propagation.add(stamp, force, rate, seconds, measured)
             else:
-                propagation.begin(stamp, force, rate, is_given)
+                propagation.begin(stamp, force, rate)
         if rate is not None and propagation.check.is_believed:
             if self._levelling is not None:
                 self._levelling = None
-                propagation.begin(stamp, force, rate, is_given)
+                propagation.begin(stamp, force, rate)
         elif self._levelling is not None and follows:
             self._levelling.add(force, seconds)
         else:

@@ -45,8 +45,20 @@ class GyroBias(NamedTuple):
     at_rest: tuple[Triple, float] | None = None
 
 
+class LinearAcceleration(NamedTuple):
+    """A measured acceleration of the robot, body axes: with a speed v, (dv/dt, v w_z, 0)."""
+
+    vector: Triple  # m/s²
+    sigma: float  # per axis, m/s²
+    lasts: float  # correlation time of its error, seconds
+
+
 class Block(NamedTuple):
-    """Sums over the messages since the filter ran."""
+    """Sums over the messages since the filter ran.
+
+    `freed` is the force minus the measured acceleration, minus the propagated up, of the `given`
+    messages that have one.
+    """
 
     messages: int = 0
     seconds: float = 0.0
@@ -54,6 +66,50 @@ class Block(NamedTuple):
     up: Triple = ZERO  # propagated, g
     rate: Triple = ZERO  # rad/s
     turn: Triple = ZERO  # radians
+    given: int = 0
+    freed: Triple = ZERO  # g
+    variance: float = 0.0
+    density: float = 0.0
+    """Variance of the measured acceleration, g², and spectral density of its error, g² s."""
+
+
+class MeasuredRight:
+    """The probability that the measured acceleration is right: it stays so or not for some time."""
+
+    def __init__(self) -> None:
+        self.probability = FILTER.right
+
+    def add(
+        self, gap: float, tilt_variance: float, variance: float, seconds: float, count: float
+    ) -> None:
+        """Compare up by the measured acceleration with that of the filter, for some seconds.
+
+        `gap` is the distance of their directions, radians; `tilt_variance` and `variance` are those
+        of the filter's direction and of the measured acceleration, g², and `count` is the number of
+        independent errors of the latter in this time.
+        """
+        ratio = self._ratio(gap, tilt_variance + variance)
+        ratio *= min(1.0, count)
+        kept = self.probability
+        kept /= kept + (1.0 - kept) * math.exp(-max(ratio, -50.0))
+        share = min(1.0, seconds / FILTER.right_lasts)
+        self.probability = kept + share * (FILTER.right - kept)
+
+    def evidence_of_rest(self, gap: float, variance: float) -> float:
+        """Return the log likelihood ratio of a force that points up, against an acceleration.
+
+        `gap` is the distance of the force's direction from up by the measured acceleration. An
+        acceleration may be smaller than the error of the measured one, so the ratio is not above
+        zero.
+        """
+        odds = math.exp(min(0.0, self._ratio(gap, variance)))
+        return math.log(self.probability * odds + 1.0 - self.probability)
+
+    @staticmethod
+    def _ratio(gap: float, variance: float) -> float:
+        """Return the log likelihood ratio of no acceleration for a gap, against any."""
+        wrong = variance + 2.0 * FILTER.usual_acceleration**2
+        return math.log(wrong / variance) - 0.5 * gap * gap * (1.0 / variance - 1.0 / wrong)
 
 
 class GyroPropagation:
@@ -76,12 +132,14 @@ class GyroPropagation:
         self._rate_noise = PROPAGATION.starting_rate_noise**2
         self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
         self._at_rest: tuple[Triple, float] | None = None
+        self._measured = MeasuredRight()
+        self._up_by_measured: tuple[Triple, float] | None = None
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
-    def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
+    def begin(self, stamp: float, force: Triple, rate: Triple) -> None:
         """Start again from a force in g, and keep the gyro's bias."""
         self.up = force
-        self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
+        self._stamp, self._force, self._rate = stamp, force, rate
         self.mean_rate = ZERO
         self._block = Block()
         self._steady = SteadyInterval()
@@ -99,25 +157,30 @@ class GyroPropagation:
         return minus(self._rate, self.bias)
 
     def add(
-        self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
+        self,
+        stamp: float,
+        force: Triple,
+        rate: Triple,
+        seconds: float,
+        measured: LinearAcceleration | None = None,
     ) -> None:
-        """Add force (g) and rate, `seconds` after the previous ones.
-
-        With `is_given` a measured linear acceleration is already subtracted from the force.
-        """
+        """Add force (g), rate and measured acceleration, `seconds` after the previous ones."""
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
-        if is_given is not self._is_given:
-            # Velocity and acceleration of the filter are now residual ones, or no longer so.
-            self._is_given = is_given
-            self._filter.forget_motion(self._motion(self.is_settled), is_faster=True)
         self.mean_rate = minus(interpolate(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
-        count, lasted, forces, ups, rates, turns = self._block
+        count, lasted, forces, ups, rates, turns, given, freed, variance, density = self._block
         forces, ups = plus(forces, force), plus(ups, self.up)
         rates, turns = plus(rates, rate), plus(turns, turn)
-        block = self._block = Block(count + 1, lasted + seconds, forces, ups, rates, turns)
+        if measured is not None:
+            own = scaled(measured.vector, 1.0 / STANDARD_GRAVITY)
+            given, freed = given + 1, plus(freed, minus(minus(force, own), self.up))
+            variance = (measured.sigma / STANDARD_GRAVITY) ** 2 + FILTER.floor**2
+            density = 2.0 * variance * measured.lasts
+        block = self._block = Block(
+            count + 1, lasted + seconds, forces, ups, rates, turns, given, freed, variance, density
+        )
         if block.seconds >= PROPAGATION.block:
             self._block = Block()
             self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
@@ -164,12 +227,32 @@ class GyroPropagation:
         turning = 0.0 if ambiguous_rate == 0.0 else self._steady_turn
         innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
         following.observe_force(innovation, self._noise / block.messages, turning)
+        self._up_by_measured = None
+        if block.given:
+            self._observe_measured(block)
         if not self.is_settled:
             self._settle(ambiguous_rate, noise)
         elif self._steady.seconds > PROPAGATION.memory:
             self._learn(means, ambiguous_rate, noise)
         self._look_for_shaken_rest(means)
         self._take_over()
+
+    def _observe_measured(self, block: Block) -> None:
+        """Correct up by the measured acceleration, as far as that is probably right."""
+        following, variance = self._filter, block.variance
+        seconds = block.seconds * block.given / block.messages
+        innovation = np.array(scaled(block.freed, 1.0 / block.given))
+        innovation -= following.up - np.array(self.up)
+        along = unit(following.up)
+        across = innovation - (innovation @ along) * along
+        gap = float(np.linalg.norm(across)) / length(self.up)
+        count = seconds * variance / block.density
+        self._measured.add(gap, following.tilt_variance, variance, seconds, count)
+        freed = plus(self.up, scaled(block.freed, 1.0 / block.given))
+        self._up_by_measured = unit_triple(freed), variance
+        # White noise of the same density has the same effect on a slow estimate.
+        white = block.density / seconds
+        following.observe_up(innovation, white / max(self._measured.probability, 1e-3))
 
     def _ambiguous_rate(self) -> float | None:
         """Return the rate (rad/s) that may be turn or bias: zero at rest, None in a turn."""
@@ -233,6 +316,10 @@ class GyroPropagation:
         up: Triple = tuple(following.up.tolist())
         rest = self._rest, self._rest_sigma
         evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
+        if self._up_by_measured is not None:
+            measured, variance = self._up_by_measured
+            gap = distance(unit_triple(interval.force), measured)
+            evidence += self._measured.evidence_of_rest(gap, variance)
         if evidence + interval.seconds / REST.constant_for < REST.sure:
             return
         self.is_settled = True
@@ -251,8 +338,6 @@ class GyroPropagation:
     def _motion(self, is_steady: bool = False) -> MotionPrior:
         """Return the prior of the present motion."""
         speed, acceleration = FILTER.usual_speed, FILTER.usual_acceleration
-        if self._is_given:
-            speed, acceleration = FILTER.given_speed, FILTER.given_acceleration
         if is_steady:
             acceleration = max(FILTER.floor, math.sqrt(self._steady.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)

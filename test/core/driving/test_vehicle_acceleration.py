@@ -96,7 +96,7 @@ def test_impossible_speeds_are_left_out(wild):
     for count, sample in enumerate(drive.samples()):
         if isinstance(sample, ImuSample):
             acceleration = estimator.add_imu(sample, (0.0,) * 3)
-            assert acceleration is None or math.isfinite(sum(acceleration))
+            assert acceleration is None or math.isfinite(sum(acceleration.vector))
         if count % 50 == 0:
             estimator.add_travel(SpeedSample(sample.stamp, wild))
             estimator.add_travel(VelocitySample(sample.stamp, wild, 0.0, 0.1))
@@ -116,7 +116,7 @@ def test_time_that_is_set_back_restarts_the_estimate():
         for sample in drive.samples():
             if isinstance(sample, ImuSample):
                 acceleration = estimator.add_imu(sample, (0.0,) * 3)
-                assert acceleration is None or max(map(abs, acceleration)) < 20.0
+                assert acceleration is None or max(map(abs, acceleration.vector)) < 20.0
             elif isinstance(sample, SpeedSample):
                 estimator.add_travel(sample)
-    assert estimator.acceleration.is_used
+    assert estimator.acceleration.is_measured

@@ -12,7 +12,7 @@ from long_form import first_of
 from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
 
 from magcal_ros.core.samples import ImuSample
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up import LinearAcceleration, UpFollower
 from magcal_ros.files import read_csv_folder
 
 G = 9.80665
@@ -207,7 +207,7 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_up():
     def listen(sample, ride):
         if isinstance(sample, ImuSample):
             noise = 0.15 * rng.standard_normal(3)
-            errors.take(sample, ride, linear_acceleration=tuple(1.03 * linear + noise))
+            errors.take(sample, ride, LinearAcceleration(tuple(1.03 * linear + noise), 0.15, 0.02))
         printable(sample, ride)
 
     course = Course(listen, rate=50.0)
