@@ -37,8 +37,8 @@ class VehicleAcceleration:
 
     `turn` is the force over the change of velocity of an IMU that faces ahead: its angle is minus
     the IMU's yaw, and noise of the speed makes it smaller than one. `error` is its sigma. `noise`
-    (m/s²) and `density` (m²/s³) are the residual of the force and its spectral density. While `is_yaw_known` is false, a vehicle is assumed
-    to drive forwards.
+    (m/s²) and `density` (m²/s³) are the residual of the force and its spectral density. While
+    `is_yaw_known` is false, a vehicle is assumed to drive forwards.
     """
 
     def __init__(self) -> None:

@@ -41,6 +41,7 @@ class FilterTuning:
     usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
     right: float = 0.95  # prior probability that a measured acceleration is right
     right_lasts: float = 30.0  # seconds for which it stays right or wrong, on the average
+    freedom: float = 4.0  # degrees of freedom of its error, a Student distribution
     acceleration_lasts: float = 2.0
     """Correlation time of an acceleration, and of the sway of a rolling robot, seconds: vehicles
     accelerate for 2 to 5 s."""

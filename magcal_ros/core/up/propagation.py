@@ -73,43 +73,44 @@ class Block(NamedTuple):
     """Variance of the measured acceleration, g², and spectral density of its error, g² s."""
 
 
-class MeasuredRight:
-    """The probability that the measured acceleration is right: it stays so or not for some time."""
+class MeasuredAcceleration:
+    """The probability that the measured acceleration is right: it stays so or not for some time.
+
+    A right one has errors of a Student distribution. A wrong one differs from the true acceleration
+    by as much as two accelerations do. Both are compared by the angle, the `gap`, between up by the
+    measured acceleration and another estimate of up, radians; `variance` is that of the gap per
+    axis.
+    """
 
     def __init__(self) -> None:
-        self.probability = FILTER.right
+        self.right = FILTER.right
 
-    def add(
-        self, gap: float, tilt_variance: float, variance: float, seconds: float, count: float
-    ) -> None:
-        """Compare up by the measured acceleration with that of the filter, for some seconds.
+    def add(self, gap: float, variance: float, seconds: float, count: float) -> None:
+        """Compare with the filter's up over some seconds with so many independent errors."""
+        ratio = min(1.0, count) * self._log_ratio(gap, variance)
+        right = self.right / (self.right + (1.0 - self.right) * math.exp(-ratio))
+        self.right = right + min(1.0, seconds / FILTER.right_lasts) * (FILTER.right - right)
 
-        `gap` is the distance of their directions, radians; `tilt_variance` and `variance` are those
-        of the filter's direction and of the measured acceleration, g², and `count` is the number of
-        independent errors of the latter in this time.
-        """
-        ratio = self._ratio(gap, tilt_variance + variance)
-        ratio *= min(1.0, count)
-        kept = self.probability
-        kept /= kept + (1.0 - kept) * math.exp(-max(ratio, -50.0))
-        share = min(1.0, seconds / FILTER.right_lasts)
-        self.probability = kept + share * (FILTER.right - kept)
+    def weight(self, gap: float, variance: float) -> float:
+        """Return the weight of the measured acceleration, from zero to one."""
+        return self.right / (1.0 + gap * gap / (FILTER.freedom * variance))
 
     def evidence_of_rest(self, gap: float, variance: float) -> float:
         """Return the log likelihood ratio of a force that points up, against an acceleration.
 
-        `gap` is the distance of the force's direction from up by the measured acceleration. An
-        acceleration may be smaller than the error of the measured one, so the ratio is not above
-        zero.
+        The gap is that between the force and up by the measured acceleration. An acceleration may
+        be smaller than the error of the measured one, so the ratio is not above zero.
         """
-        odds = math.exp(min(0.0, self._ratio(gap, variance)))
-        return math.log(self.probability * odds + 1.0 - self.probability)
+        odds = math.exp(min(0.0, self._log_ratio(gap, variance)))
+        return math.log(self.right * odds + 1.0 - self.right)
 
     @staticmethod
-    def _ratio(gap: float, variance: float) -> float:
-        """Return the log likelihood ratio of no acceleration for a gap, against any."""
-        wrong = variance + 2.0 * FILTER.usual_acceleration**2
-        return math.log(wrong / variance) - 0.5 * gap * gap * (1.0 / variance - 1.0 / wrong)
+    def _log_ratio(gap: float, variance: float) -> float:
+        """Return the log likelihood ratio of a right measurement."""
+        square, wrong = gap * gap, variance + 2.0 * FILTER.usual_acceleration**2
+        tail = 0.5 * FILTER.freedom + 1.0
+        off = tail * math.log1p(square / (FILTER.freedom * variance))
+        return math.log(wrong / variance) - off + 0.5 * square / wrong
 
 
 class GyroPropagation:
@@ -132,7 +133,7 @@ class GyroPropagation:
         self._rate_noise = PROPAGATION.starting_rate_noise**2
         self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
         self._at_rest: tuple[Triple, float] | None = None
-        self._measured = MeasuredRight()
+        self._measured = MeasuredAcceleration()
         self._up_by_measured: tuple[Triple, float] | None = None
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
@@ -239,20 +240,17 @@ class GyroPropagation:
 
     def _observe_measured(self, block: Block) -> None:
         """Correct up by the measured acceleration, as far as that is probably right."""
-        following, variance = self._filter, block.variance
+        following, measured = self._filter, self._measured
         seconds = block.seconds * block.given / block.messages
-        innovation = np.array(scaled(block.freed, 1.0 / block.given))
-        innovation -= following.up - np.array(self.up)
-        along = unit(following.up)
-        across = innovation - (innovation @ along) * along
-        gap = float(np.linalg.norm(across)) / length(self.up)
-        count = seconds * variance / block.density
-        self._measured.add(gap, following.tilt_variance, variance, seconds, count)
-        freed = plus(self.up, scaled(block.freed, 1.0 / block.given))
-        self._up_by_measured = unit_triple(freed), variance
+        up_by_measured = plus(self.up, scaled(block.freed, 1.0 / block.given))
+        self._up_by_measured = unit_triple(up_by_measured), block.variance
+        own: Triple = tuple(following.up.tolist())
+        gap = distance(self._up_by_measured[0], unit_triple(own))
+        variance = block.variance + following.tilt_variance
+        measured.add(gap, variance, seconds, seconds * block.variance / block.density)
         # White noise of the same density has the same effect on a slow estimate.
-        white = block.density / seconds
-        following.observe_up(innovation, white / max(self._measured.probability, 1e-3))
+        white = block.density / seconds / max(measured.weight(gap, variance), 1e-3)
+        following.observe_up(np.array(minus(up_by_measured, own)), white)
 
     def _ambiguous_rate(self) -> float | None:
         """Return the rate (rad/s) that may be turn or bias: zero at rest, None in a turn."""
@@ -317,8 +315,8 @@ class GyroPropagation:
         rest = self._rest, self._rest_sigma
         evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
         if self._up_by_measured is not None:
-            measured, variance = self._up_by_measured
-            gap = distance(unit_triple(interval.force), measured)
+            up_by_measured, variance = self._up_by_measured
+            gap = distance(unit_triple(interval.force), up_by_measured)
             evidence += self._measured.evidence_of_rest(gap, variance)
         if evidence + interval.seconds / REST.constant_for < REST.sure:
             return

@@ -219,6 +219,23 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_up():
     assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(printable.errors, 90)
 
 
+def test_a_wrong_acceleration_tilts_up_little_more_than_none():
+    """A speed that is frozen: the measured acceleration is zero all the time."""
+    errors, without = TiltErrors(UpFollower()), TiltErrors(UpFollower())
+
+    def listen(sample, ride):
+        if isinstance(sample, ImuSample):
+            errors.take(sample, ride, LinearAcceleration((0.0, 0.0, 0.0), 0.15, 1.0))
+        without(sample, ride)
+
+    course = Course(listen, rate=50.0)
+    course.go(5.0)
+    for _ in range(6):
+        for forward, rate in ((2.0, 0.0), (0.3, 0.4), (-1.5, 0.0), (-0.8, -0.3)):
+            course.go(2.5, acceleration=forward * FORWARD + 4.0 * rate * LEFT, yaw_rate=rate)
+    assert errors.rms() < 1.1 * without.rms() + 0.1
+
+
 class TestWithoutGyro:
     def test_the_accelerometer_is_smoothed(self):
         errors = TiltErrors(UpFollower())
