@@ -243,8 +243,10 @@ class GyroPropagation:
         following, measured = self._filter, self._measured
         seconds = block.seconds * block.given / block.messages
         up_by_measured = plus(self.up, scaled(block.freed, 1.0 / block.given))
-        self._up_by_measured = unit_triple(up_by_measured), block.variance
         own: Triple = tuple(following.up.tolist())
+        if length(up_by_measured) <= 0.0 or length(own) <= 0.0:
+            return
+        self._up_by_measured = unit_triple(up_by_measured), block.variance
         gap = distance(self._up_by_measured[0], unit_triple(own))
         variance = block.variance + following.tilt_variance
         measured.add(gap, variance, seconds, seconds * block.variance / block.density)
@@ -314,7 +316,7 @@ class GyroPropagation:
         up: Triple = tuple(following.up.tolist())
         rest = self._rest, self._rest_sigma
         evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
-        if self._up_by_measured is not None:
+        if evidence > -math.inf and self._up_by_measured is not None:
             up_by_measured, variance = self._up_by_measured
             gap = distance(unit_triple(interval.force), up_by_measured)
             evidence += self._measured.evidence_of_rest(gap, variance)
