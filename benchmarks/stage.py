@@ -99,13 +99,13 @@ class Load:
         self.on_field: Callable[[str, bytes], None] = lambda _, __: None
 
     @property
-    def is_heard(self) -> bool:
+    def is_received(self) -> bool:
         """Whether both topics have a listener."""
         return all(out.get_subscription_count() for _, *outs in self._outs for out in outs)
 
     def wait(self) -> None:
         """Wait until somebody listens."""
-        while not self.is_heard:
+        while not self.is_received:
             time.sleep(0.05)
 
     def run(self, seconds: float, stop: Callable[[], bool] = lambda: False) -> int:

@@ -72,7 +72,7 @@ class CalibrationStore:
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
         self.problem = ""  # the last failure with the file; empty after a success
-        self._frame, self._was_heard, self._was_named = "", False, False
+        self._frame, self._was_received, self._was_named = "", False, False
         self._last_read: tuple[object, LoadedCalibration] | None = None
         self._is_reading = False
         self._found: OrderedDict[str, LoadedCalibration | None] = OrderedDict()
@@ -139,7 +139,7 @@ class CalibrationStore:
     def load(self, tell: Tell) -> None:
         """Put the calibration in the file in force."""
         chosen, frame = self._chosen(), self._frame
-        if not chosen and not self._was_heard:
+        if not chosen and not self._was_received:
             tell(Conclusion(False, NOT_HEARD))
             return
 
@@ -195,7 +195,7 @@ class CalibrationStore:
         If a calibration is in force, its sensor is checked. The file of a sensor that was there
         before is not read again.
         """
-        self._frame, self._was_heard = frame, True
+        self._frame, self._was_received = frame, True
         if frame in self._found:
             self._use_found(self._found[frame])
             return

@@ -66,7 +66,7 @@ class Guard:
         self._asked: dict[bytes, float] = {}
         self._proved_at = -math.inf
         self._has_stopped = False
-        self._heard = b""
+        self._received = b""
         # The thread of the signals dismisses the guard while the executor's thread reads.
         self._lock = threading.Lock()
 
@@ -117,8 +117,8 @@ class Guard:
         """Read the answers of the guard."""
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._answers >= 0:
-                self._heard += os.read(self._answers, 65536)
-        *lines, self._heard = self._heard.split(b"\n")
+                self._received += os.read(self._answers, 65536)
+        *lines, self._received = self._received.split(b"\n")
         for line in lines:
             question, _, answer = line.partition(b" ")
             if answer == self._task and question in self._asked:

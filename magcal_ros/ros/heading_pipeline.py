@@ -50,7 +50,7 @@ class Sensor:
     topic: str
     clock: Callable[[], float] = time.monotonic
     frame: str = ""
-    last_heard: float | None = None
+    last_received: float | None = None
     messages: int = 0
     publishers: int = 1
     changes: int = 0
@@ -68,9 +68,9 @@ class Sensor:
 
     def note_message(self, frame: str) -> bool:
         """Note a message; returns whether it is the first, or its frame has changed."""
-        is_first = self.last_heard is None
+        is_first = self.last_received is None
         self.messages += 1
-        self.last_heard = self.clock()
+        self.last_received = self.clock()
         if frame == self.frame:
             return is_first
         if not is_first:
@@ -86,11 +86,11 @@ class Sensor:
 
     def age(self) -> float:
         """Return seconds since the last message; infinite if none came."""
-        return math.inf if self.last_heard is None else self.clock() - self.last_heard
+        return math.inf if self.last_received is None else self.clock() - self.last_received
 
     def complaint(self) -> str:
         """Return what is wrong with the topic and what to check; empty if nothing is."""
-        if self.last_heard is None:
+        if self.last_received is None:
             why = "check that the driver runs and the topic is remapped to it"
             return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
@@ -118,7 +118,7 @@ class Inputs:
 
     def look(self, count_publishers: Callable[[str], int]) -> None:
         """Note, once a second, the counts of messages and the numbers of publishers."""
-        self._earlier.append(self._heard())
+        self._earlier.append(self._received())
         for sensor in (self.imu, self.field):
             sensor.publishers = count_publishers(sensor.topic)
             sensor.look()
@@ -126,12 +126,12 @@ class Inputs:
     def complaints(self) -> list[str]:
         """Return all faults of the inputs, in words."""
         found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
-        imu, mag = self._heard()
+        imu, mag = self._received()
         if len(self._earlier) == DROP_WINDOW:
             imu, mag = map(InputCounts.since, (imu, mag), self._earlier[0])
         return found + complaints(self.streams, imu, mag)
 
-    def _heard(self) -> tuple[InputCounts, InputCounts]:
+    def _received(self) -> tuple[InputCounts, InputCounts]:
         imu, field, streams = self.imu, self.field, self.streams
         return (
             InputCounts(imu.topic, imu.messages, Counter(streams.imu_drops)),

@@ -50,9 +50,9 @@ class HeadingTopic:
         self._magnetometer, self._pipeline, self._worker = magnetometer, pipeline, worker
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
-        self.is_heard = False
+        self.is_received = False
         self.collected: list[HeadingSample] | None = None  # headings during a collection
-        self._heard_at = -math.inf
+        self._received_at = -math.inf
         self._collector: HeadingCollector | None = None
         self._is_fitting = False
         self._missed, self._gap = 0, 0.0
@@ -70,7 +70,7 @@ class HeadingTopic:
     @property
     def silence(self) -> str:
         """The topic, and why it has no current heading; empty if it has one."""
-        if time.monotonic() - self._heard_at < VALID_FOR:
+        if time.monotonic() - self._received_at < VALID_FOR:
             return ""
         if self._fault:
             return f"{self.topic} (there are messages, but {self._fault})"
@@ -80,9 +80,9 @@ class HeadingTopic:
     def complaints(self) -> list[str]:
         """The faults of the headings, in words."""
         words = [self._fault]
-        if self.is_heard and self._collector is not None:
+        if self.is_received and self._collector is not None:
             words += [self._collector.check.fault, self._doubt]
-        if self.is_heard and self._missed >= REPORTED_MISSES:
+        if self.is_received and self._missed >= REPORTED_MISSES:
             words.append(
                 f"the heading differs from the fused yaw by {math.degrees(self._gap):.0f}°, far "
                 "more than both variances allow, and is not used; check which north it refers to "
@@ -97,7 +97,8 @@ class HeadingTopic:
         if self._collector is None:
             return None
         kept = 0 if self._collector.log is None else len(self._collector.log.measurements)
-        return {"topic": self.topic, "speaks": self.is_heard, "kept": kept, "found": self._answer}
+        is_received, found = self.is_received, self._answer
+        return {"topic": self.topic, "speaks": is_received, "kept": kept, "found": found}
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to an IMU message that the up follower has received already."""
@@ -108,7 +109,7 @@ class HeadingTopic:
         """Take a field sample while headings arrive."""
         collector, view = self._collector, self._pipeline.frames.view
         if collector is None or sample.stamp - collector.newest.stamp > VALID_FOR:
-            self.is_heard = False
+            self.is_received = False
             return
         if view is None:
             return
@@ -132,7 +133,7 @@ class HeadingTopic:
 
             self._collector = HeadingCollector(self._pipeline.up)
         self._collector.on_heading(sample)
-        self._heard_at, self.is_heard = time.monotonic(), True
+        self._received_at, self.is_received = time.monotonic(), True
         if self.collected is not None:
             self.collected.append(sample)
         settings, view = self._pipeline.current_settings(), self._pipeline.frames.view
@@ -251,7 +252,7 @@ class KnownHeadings:
 
     def on_field(self, sample: FieldSample) -> None:
         """Take a field sample."""
-        if self.antenna.is_heard:
+        if self.antenna.is_received:
             self.antenna.on_field(sample)
         if not self._is_collecting:
             return
@@ -263,7 +264,7 @@ class KnownHeadings:
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to an IMU message that the up follower has received already."""
-        if self.antenna.is_heard:
+        if self.antenna.is_received:
             self.antenna.on_imu(stamp)
         follower, turn = self._pipeline.up, self._turn
         if turn is None or follower.newest is None:

@@ -93,7 +93,7 @@ class Magnetometer:
         frames = self.inputs.field.frame, self.inputs.imu.frame
         self.control.tell(self.control.turn.note_sensors, *map(identifier, frames))
         self._owner.sensors_changed(self)
-        if self.inputs.field.last_heard is not None:
+        if self.inputs.field.last_received is not None:
             self.store.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:

@@ -40,7 +40,7 @@ class CommandTopic:
         self._speed, self._received = math.nan, -math.inf
 
     @property
-    def is_heard(self) -> bool:
+    def is_received(self) -> bool:
         """Whether a command has arrived since the subscription."""
         return math.isfinite(self._speed)
 
@@ -189,10 +189,10 @@ class Motors:
             return self._topic
         if which in (MotorInput.TURN_RATE, MotorInput.SIDE, MotorInput.ABS_TURN_RATE):
             return "gyro"
-        speed = self.commands.topic if self.commands.is_heard else self._odom
+        speed = self.commands.topic if self.commands.is_received else self._odom
         if which in (MotorInput.SPEED, MotorInput.ABS_SPEED):
             return speed
-        is_known = self._estimator.has_wheels or self.commands.is_heard
+        is_known = self._estimator.has_wheels or self.commands.is_received
         return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:

@@ -287,7 +287,7 @@ class FusedOutput:
             return "no fused yaw before a calibration is in force"
         if self.yaw is None or not self._out.is_wanted:
             return f"nothing subscribes to {TOPIC}"
-        if not self._follower.gyro_is_believed:
+        if not self._follower.gyro_is_consistent:
             why = (
                 ": gyro and accelerometer contradict each other; correct the gyro's axes or signs "
                 "in the driver"

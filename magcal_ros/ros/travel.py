@@ -92,7 +92,7 @@ class Travel:
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
         """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
         estimator = self.estimator
-        if not estimator.is_heard:
+        if not estimator.has_samples:
             return None
         north = reference.declination, reference.declination_sigma
         self.driven_yaw = compare_with_course(estimator.known_mounting, estimator.course, *north)
@@ -132,7 +132,7 @@ class Travel:
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None without speeds and fixes."""
         estimator, yaw = self.estimator, self.yaw
-        if not estimator.is_heard and yaw is None:
+        if not estimator.has_samples and yaw is None:
             return None
         course = estimator.course
         return {
@@ -147,7 +147,7 @@ class Travel:
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the drive; empty without speeds and fixes."""
-        if not self.estimator.is_heard:
+        if not self.estimator.has_samples:
             return []
         yaw, wrong = self.yaw, self.complaints
         driven_yaw = "the vehicle's front is not known yet" if yaw is None else yaw.words

@@ -43,7 +43,8 @@ class TravelEstimator:
 
     `run` calls a function of some tens of milliseconds, and another one with its result, by default
     at once; a node uses another thread. `course` is the newest fit of compass against course, for
-    the yaw to *magnetic* north; None before a fit. `is_heard` is whether any speed or fix has come.
+    the yaw to *magnetic* north; None before a fit. `has_samples` is whether any speed or fix
+    has come.
     """
 
     def __init__(self, run: Run = run_immediately) -> None:
@@ -58,7 +59,7 @@ class TravelEstimator:
         self._frame = GyroFrame()
         self._paths = Chords()
         self._pending: deque[Chord] = deque(maxlen=PENDING)
-        self.is_heard = False
+        self.has_samples = False
         self._restarts = 0
 
     @property
@@ -107,7 +108,7 @@ class TravelEstimator:
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> LinearAcceleration | None:
         """Add an IMU sample; return the vehicle's acceleration, None if it is not known."""
-        if not self.is_heard:
+        if not self.has_samples:
             return None
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
@@ -125,13 +126,13 @@ class TravelEstimator:
     def add_travel(self, sample: TravelSample) -> None:
         """Add a sample of wheels or receiver."""
         is_usable = self.speedometer.add(sample)
-        self.is_heard = is_usable or self.is_heard
+        self.has_samples = is_usable or self.has_samples
         if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
             self._paths.add_fix(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Add the yaw of the IMU's x to magnetic north by the compass, radians."""
-        if self.is_heard:
+        if self.has_samples:
             self._paths.add_yaw(yaw)
 
     def forget_compass(self) -> None:

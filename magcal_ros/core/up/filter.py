@@ -127,7 +127,7 @@ class GyroCheckTuning:
     """Variances of the gyro's noise that the squared changes must exceed as well; an engine shakes
     by more than the measured noise."""
     dead: int = 100  # messages with noise on another axis after which a constant axis is dead
-    near_up: float = 0.7  # least part of up along living axes: within 45° of up
+    near_up: float = 0.7  # least part of up along working axes: within 45° of up
     bend: float = 1e-4  # least second difference of a noisy rate, over the rate
 
 

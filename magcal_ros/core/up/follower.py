@@ -142,9 +142,9 @@ class UpFollower:
         return self._levelling is None and self._last is not None
 
     @property
-    def gyro_is_believed(self) -> bool:
+    def gyro_is_consistent(self) -> bool:
         """Whether the gyro, if any, agrees with the accelerometer."""
-        return self._propagation.check.is_believed
+        return self._propagation.check.is_consistent
 
     @property
     def gyro_is_whole(self) -> bool:
@@ -218,7 +218,7 @@ class UpFollower:
                 propagation.add(stamp, force, rate, seconds, measured)
             else:
                 propagation.begin(stamp, force, rate)
-        if rate is not None and propagation.check.is_believed:
+        if rate is not None and propagation.check.is_consistent:
             if self._levelling is not None:
                 self._levelling = None
                 propagation.begin(stamp, force, rate)

@@ -264,7 +264,7 @@ class GyroPropagation:
         about = abs(dot(excess, interval.force)) / size if size > 0.0 else length(excess)
         if self._is_still or about < REST.doubtful_rate:
             return 0.0
-        if not self.field.is_heard(self._stamp):
+        if not self.field.is_recent(self._stamp):
             return about
         has_turned = self.field.has_turned(about)
         if has_turned is None:
@@ -287,7 +287,7 @@ class GyroPropagation:
 
     def _look_for_shaken_rest(self, means: BlockMeans) -> None:
         """Learn bias and up from a robot that an engine shakes at rest."""
-        if not self.field.is_heard(self._stamp):
+        if not self.field.is_recent(self._stamp):
             self._shaken.forget()
             return
         shown, following = self._shaken.add(means, self.field.mean), self._filter

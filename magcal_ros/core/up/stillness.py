@@ -66,7 +66,7 @@ class FieldStillness:
             self._first_count += 1
             self._first = interpolate(self._first, field, 1.0 / self._first_count)
 
-    def is_heard(self, stamp: float) -> bool:
+    def is_recent(self, stamp: float) -> bool:
         """Whether a field sample came shortly before a stamp."""
         return abs(stamp - self._stamp) < STREAMS.longest_field_gap
 
@@ -220,7 +220,7 @@ class GyroCheck:
     """
 
     def __init__(self) -> None:
-        self.is_believed = True
+        self.is_consistent = True
         self._slope, self._noise = Slope(CHECK.memory), 0.0
         self.restart()
 
@@ -265,9 +265,9 @@ class GyroCheck:
             least, most = self._slope.bounds(CLEAR)
             # The slope of a correct gyro is one, of a mirrored one minus one.
             if most < 0.0:
-                self.is_believed = False
+                self.is_consistent = False
             elif least > 0.0:
-                self.is_believed = True
+                self.is_consistent = True
 
 
 class DeadAxes:
@@ -287,16 +287,16 @@ class DeadAxes:
         return self._noisy >= CHECK.dead and not all(self._has_changed)
 
     def rate_about_up(self, rate: Triple, up: Triple) -> Triple | None:
-        """Return the rate of a turn about up, rad/s, that living axes show as `rate`.
+        """Return the rate of a turn about up, rad/s, that working axes show as `rate`.
 
-        `up` is in body axes, of any length. None if no living axis is near up.
+        `up` is in body axes, of any length. None if no working axis is near up.
         """
-        x, y, z = (own if lives else 0.0 for own, lives in zip(up, self._has_changed, strict=True))
-        alive = x, y, z
-        square = dot(alive, alive)
+        x, y, z = (own if works else 0.0 for own, works in zip(up, self._has_changed, strict=True))
+        working = x, y, z
+        square = dot(working, working)
         if square < CHECK.near_up**2 * dot(up, up):
             return None
-        return scaled(up, dot(rate, alive) / square)
+        return scaled(up, dot(rate, working) / square)
 
     def add(self, rate: Triple) -> None:
         """Take the next rate, rad/s."""

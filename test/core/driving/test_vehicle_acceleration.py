@@ -89,7 +89,7 @@ def test_a_circle_by_fixes_alone_does_not_tilt_up():
 def test_without_a_speed_nothing_is_subtracted():
     estimator = TravelEstimator()
     assert estimator.add_imu(ImuSample(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.1)), (0.0,) * 3) is None
-    assert not estimator.is_heard
+    assert not estimator.has_samples
 
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 1e300])

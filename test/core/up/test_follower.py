@@ -288,7 +288,7 @@ def test_a_mirrored_gyro_is_detected(watched):
     for _ in range(6):
         course.go(1.0, tipping=-10.0 * DEGREE * LEFT)
         course.go(1.0, tipping=10.0 * DEGREE * LEFT)
-    assert not errors.follower.gyro_is_believed
+    assert not errors.follower.gyro_is_consistent
     assert errors.rms(last=300) < 3.0
 
 

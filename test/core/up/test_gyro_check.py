@@ -22,28 +22,28 @@ def nodding(check, sense, seconds=20.0, noise=0.002, seed=1):
 def test_a_gyro_that_agrees_with_the_accelerometer_is_used():
     check = GyroCheck()
     nodding(check, 1.0)
-    assert check.is_believed
+    assert check.is_consistent
 
 
 def test_a_mirrored_gyro_is_not_used_until_it_is_corrected():
     check = GyroCheck()
     nodding(check, -1.0)
-    assert not check.is_believed
+    assert not check.is_consistent
     nodding(check, 1.0, seconds=120.0)
-    assert check.is_believed
+    assert check.is_consistent
 
 
 def test_a_steady_circle_is_no_evidence():
     check = GyroCheck()
     for _ in range(1000):
         check.add((0.0, 0.15, 1.0), (0.0, 0.0, 0.5 * STEP), STEP)
-    assert check.is_believed
+    assert check.is_consistent
 
 
 def test_noise_alone_is_no_evidence():
     check = GyroCheck()
     nodding(check, 0.0, noise=0.02)
-    assert check.is_believed
+    assert check.is_consistent
 
 
 def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
@@ -52,7 +52,7 @@ def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
     for sample in read_csv_folder(recording("car_neu2024_gautham")).samples():
         if isinstance(sample, ImuSample):
             follower.add(sample)
-            assert follower.gyro_is_believed
+            assert follower.gyro_is_consistent
 
 
 @pytest.mark.parametrize(("sense", "accepted"), [(1.0, True), (-1.0, False)])
@@ -67,7 +67,7 @@ def test_a_tilt_is_evidence_despite_vibration(sense, accepted):
         force = (0.0, math.sin(angle) + 0.05 * math.cos(shake + 1.5), math.cos(angle))
         turn = (sense * (rate + shaking) + 0.04 * rng.standard_normal()) * STEP
         check.add(force, (turn, 0.0, 0.0), STEP, (0.05 * STEP) ** 2)
-    assert check.is_believed is accepted
+    assert check.is_consistent is accepted
 
 
 @pytest.mark.parametrize(("noise", "is_whole"), [(0.002, False), (0.0, True)])
@@ -103,7 +103,7 @@ def test_a_gyro_about_up_alone_separates_a_circle_from_a_tilt():
     assert math.degrees(np.sqrt(np.mean(np.square(errors[1200:])))) < 6.0
 
 
-def test_without_a_living_axis_near_up_the_force_is_smoothed():
+def test_without_a_working_axis_near_up_the_force_is_smoothed():
     rng, follower = np.random.default_rng(6), UpFollower()
     for k in range(500):
         rate = (0.01 * rng.standard_normal(), 0.0, 0.0)
