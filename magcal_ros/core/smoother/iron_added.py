@@ -112,7 +112,8 @@ def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
         scale[AT[each]] = UNKNOWNS[each].sigma
     nodes = replace(same.model.nodes, added_from=float(same.model.nodes.time[node]))
     state = _begun(same, name, node)
-    like = replace(same, point=replace(same.point, state=state))
+    # The weights at the optimum without a change take the change for outliers.
+    like = replace(same, point=replace(same.point, state=state, is_robust=False))
     free = replace(priors, scale=scale)
     try:
         return fit(nodes, free, state, KINDS[ON_WHEELS], TOLERANCES, like)
