@@ -25,13 +25,8 @@ from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
-from magcal_ros.core.smoother.factors import (
-    QUARTER,
-    distortion,
-    motor_inputs,
-    soft_iron,
-    turned_by,
-)
+from magcal_ros.core.smoother.factors import distortion, motor_inputs, soft_iron
+from magcal_ros.core.smoother.factors_of_motion import QUARTER, turned_by
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 from magcal_ros.core.smoother.joint import rows_of

@@ -25,7 +25,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     priors: priors_of
     state: Course State
     turn_by_field: smooth_by_field
-    unknowns: ACCELERATION ALIKE AT CURRENT_LATE DRIVES LOCAL Lengths MICROTESLA MODULE RATE SHARED
-        SIZES SMALL_CIRCLE STREET TURNED UNKNOWNS VELOCITY
+    unknowns: ACCELERATION ALIKE AT ATTITUDE CURRENT_LATE DRIVES LOCAL Lengths MICROTESLA MODULE
+        RATE SHARED SIZES SMALL_CIRCLE STREET TURNED UNKNOWNS VELOCITY
     """,
 )

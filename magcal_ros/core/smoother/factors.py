@@ -7,7 +7,9 @@ Attitudes are perturbed on the body's side, R <- exp(phi) R.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,11 +19,9 @@ from magcal_ros.core.geometry.rotations import (
     crossed,
     exp_rotations,
     rotation_from_rpy,
-    rotation_vectors,
     skew,
     skews,
 )
-from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
@@ -30,7 +30,6 @@ from magcal_ros.core.smoother.unknowns import (
     BIAS_UP,
     BODY_FIELD,
     CURRENT_LATE,
-    EARTH,
     HEADING_DRIFT,
     HEADING_RATE,
     LOCAL,
@@ -39,8 +38,6 @@ from magcal_ros.core.smoother.unknowns import (
     SHIELDING,
     STREET,
     TURNED,
-    VELOCITY,
-    WAVES,
     YAW,
 )
 
@@ -63,35 +60,79 @@ X, Y, Z = np.eye(3)
 LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)  # components of a residual in body axes
 
 
+Blocks = Sequence[tuple[slice, FloatArray]]
+"""Derivatives by some unknowns of a node; each of shape (k, d, width), or one for all k."""
+CENTRES = "centres"  # the name of the centres of `Places` among the groups of shared unknowns
+
+
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of one kind with their derivatives."""
+    """Residuals of one kind with their derivatives, of which most are zero."""
 
     residual: FloatArray  # Shape (k, d)
-    by_node: FloatArray  # derivatives by the unknowns of node k. Shape (k, d, LOCAL).
-    by_next: FloatArray | None = None
-    """By the unknowns of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
-    shared: FloatArray | None = None
-    """By the shared unknowns; the last columns, of the centres of `Places`, may be missing. Shape
-    (k, d, s)."""
+    node: Blocks  # derivatives by the unknowns of node k
+    later: Blocks = ()  # by the unknowns of node k + 1, for residuals between neighbours
+    shared: Mapping[str, FloatArray] = field(default_factory=dict)
+    """By groups of shared unknowns (`AT` and `CENTRES`); shapes as in `Blocks`."""
+
+    @property
+    def local(self) -> tuple[int, int]:
+        """The first of a node's unknowns on which the residuals depend, and the end."""
+        columns = [columns for columns, _ in (*self.node, *self.later)]
+        return min(each.start for each in columns), max(each.stop for each in columns)
 
     def part(self, components: slice) -> Residuals:
         """Return some components of the residuals."""
-        rest = (
-            None if each is None else each[:, components] for each in (self.by_next, self.shared)
-        )
-        return Residuals(self.residual[:, components], self.by_node[:, components], *rest)
+        return self._changed(lambda block: block[..., components, :])
 
     def times(self, matrices: FloatArray) -> Residuals:
         """Return the residuals, each multiplied by its matrix, shape (k, d, d)."""
-        rest = (None if each is None else matrices @ each for each in (self.by_next, self.shared))
-        residual = np.einsum("kij,kj->ki", matrices, self.residual)
-        return Residuals(residual, matrices @ self.by_node, *rest)
+        return self._changed(lambda block: matrices @ block)
+
+    def _changed(self, change: Callable[[FloatArray], FloatArray]) -> Residuals:
+        node, later = (
+            [(columns, change(block)) for columns, block in blocks]
+            for blocks in (self.node, self.later)
+        )
+        shared = {name: change(block) for name, block in self.shared.items()}
+        return Residuals(change(self.residual[:, :, None])[:, :, 0], node, later, shared)
+
+    @property
+    def by_node(self) -> FloatArray:
+        """Derivatives by the unknowns of node k, shape (k, d, LOCAL)."""
+        out = np.zeros((*self.residual.shape, LOCAL))
+        put(out, self.node)
+        return out
 
     def by(self, free: IntArray) -> FloatArray:
-        """Return the derivatives by the free shared unknowns, without missing columns."""
-        assert self.shared is not None
-        return self.shared[:, :, free[free < self.shared.shape[2]]]
+        """Return the derivatives by the free shared unknowns, shape (k, d, s)."""
+        out = np.zeros((*self.residual.shape, len(free)))
+        self.put_shared(out, free)
+        return out
+
+    def put_shared(self, out: FloatArray, free: IntArray) -> None:
+        """Write the derivatives by the free shared unknowns into zeros (k, d, s)."""
+        columns = _columns(free.tobytes())
+        for name, block in self.shared.items():
+            rows, own = columns[name]
+            out[:, :, rows] = block[..., own]
+
+
+def put(out: FloatArray, blocks: Blocks, first: int = 0) -> None:
+    """Write blocks into zeros (k, d, n), whose first column is that of an unknown of a node."""
+    for columns, block in blocks:
+        out[:, :, columns.start - first : columns.stop - first] = block
+
+
+@lru_cache(maxsize=64)
+def _columns(free: bytes) -> dict[str, tuple[slice, IntArray]]:
+    """Return where the free unknowns of each group are among all free ones, and in the group."""
+    indices, found = np.frombuffer(free, dtype=np.intp), {}
+    for name, at in {**AT, CENTRES: slice(SHARED, None)}.items():
+        first = np.searchsorted(indices, at.start)
+        end = None if at.stop is None else np.searchsorted(indices, at.stop)
+        found[name] = slice(first, end), indices[first:end] - at.start
+    return found
 
 
 def installation(shared: FloatArray) -> FloatArray:
@@ -104,35 +145,6 @@ def soft_iron(shared: FloatArray) -> FloatArray:
     """Return I + E, shape (3, 3)."""
     own = np.eye(3) + np.tensordot(shared[AT["soft_iron"]], ELEMENT_MATRICES, 1)
     return np.asarray(own + shared[SHIELDING] * LEVEL)
-
-
-def gyro_matrix(shared: FloatArray) -> FloatArray:
-    """Return the gyro's scale and misalignment, shape (3, 3)."""
-    return shared[AT["gyro_matrix"]].reshape(3, 3)
-
-
-def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
-    """Return the gyro's rotation error by bias and matrix, radians, shape (n - 1, 3)."""
-    bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
-    bias[:, 2] += bias_waves(nodes) @ shared[AT["bias_walk"]]
-    return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
-
-
-def bias_waves(nodes: Nodes) -> FloatArray:
-    """Return the rotation between nodes by each wave of the bias walk, √s s, (n - 1, WAVES).
-
-    A random walk over T seconds is a sum of independent waves sqrt(2 T) sin(w t / T) / w, with w =
-    pi / 2, 3 pi / 2, ... (Karhunen and Loève).
-    """
-    window = np.ptp(nodes.time)
-    phase = (np.arange(WAVES) + 0.5) * math.pi
-    cosine = np.cos(phase * (nodes.time - nodes.time[0])[:, None] / window)
-    return np.asarray(math.sqrt(2.0 * window) * window / phase**2 * (cosine[:-1] - cosine[1:]))
-
-
-def turned_by(nodes: Nodes, shared: FloatArray) -> FloatArray:
-    """Return the rotation between nodes by the corrected gyro, shape (n - 1, 3, 3)."""
-    return np.asarray(exp_rotations(gyro_error(nodes, shared)) @ nodes.turned)
 
 
 def distortion(shared: FloatArray) -> FloatArray:
@@ -151,123 +163,70 @@ def motor_inputs(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
 
 def magnetic(course: Course, state: State, places: Places) -> Residuals:
     """Return the residuals of the field at the nodes, µT (doc/smoother.md, the model)."""
-    nodes, shared = course.nodes, state.shared
+    nodes, shared, count = course.nodes, state.shared, len(course.nodes)
     angle, rate = nodes.turned_since(shared[AT["latency"]][0])
     late = exp_rotations(angle)
     attitude = late @ state.attitude
-    earth = attitude @ state.earth
     ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
-    disturbance = places.disturbance(state) + ahead @ gradient.T + shared[AT["place"]]
     comes = course.added == 0.5
     added = (course.added + comes * shared[AT["came"]])[:, None]
-    disturbance += added * shared[AT["entered"]]
-    street = np.einsum("nij,nj->ni", attitude, disturbance)
+    disturbance = places.disturbance(state) + ahead @ gradient.T
+    disturbance += shared[AT["place"]] + added * shared[AT["entered"]]
+    earth, street = attitude @ state.earth, np.einsum("nij,nj->ni", attitude, disturbance)
     turn, bend = installation(shared), soft_iron(shared)
-    full = bend @ turn
-    by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
-    inside_earth = np.einsum("nij,nj->ni", nodes.inside, earth)
-    inside_street = np.einsum("nij,nj->ni", nodes.inside, street)
-    count, motors = len(nodes), motor_inputs(course, shared)
-    of_the_body = {"iron": np.ones((count, 1)), **motors, "drift": course.span[:, None]}
-    of_the_body["added"] = added
-    predicted = inside_earth @ full.T + inside_street @ turn.T + state.local[:, BODY_FIELD]
-    predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
-    by_node = np.zeros((count, 3, LOCAL))
-    by_node[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
+    by_earth, by_street = bend @ turn @ nodes.inside, turn @ nodes.inside
     by_place = by_street @ attitude
+    turned, turned_street = (np.einsum("nij,nj->ni", by_street, each) for each in (earth, street))
+    of_the_body = {"iron": np.ones((count, 1)), **motor_inputs(course, shared)}
+    of_the_body |= {"drift": course.span[:, None], "added": added}
+    predicted = turned @ bend.T + turned_street + state.local[:, BODY_FIELD]
+    predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
     swung = np.swapaxes(state.attitude, 1, 2)[:, :2] @ skew(X)
-    by_node[:, :, ATTITUDE] += by_place @ gradient @ swung
-    by_node[:, :, STREET] = by_place * places.rest[:, None, None]
-    by_node[:, :, BODY_FIELD] = np.eye(3)
-    by = np.zeros((count, 3, SHARED + 3 * len(places)))
-    by[:, :, SHARED:] = np.einsum("nk,nij->nikj", places.weights, by_place).reshape(count, 3, -1)
-    on_the_way = by_place[:, :, :, None] * ahead[:, None, None, :]
-    by[:, :, AT["gradient"]] = on_the_way.reshape(count, 3, 6)
-    by[:, :, AT["place"]] = by_place
-    by[:, :, AT["entered"]] = added[:, :, None] * by_place
+    by_attitude = by_place @ gradient @ swung
+    by_attitude -= (by_earth @ skews(earth) + by_street @ skews(street)) @ late
+    axes = [crossed(turned, e) @ bend.T + crossed(turned_street, e) for e in _turning(shared)]
+    delayed = np.einsum("nij,nj->ni", by_earth, crossed(rate, earth))
+    delayed += np.einsum("nij,nj->ni", by_street, crossed(rate, street))
     step = shared[AT["added"]] + by_place @ shared[AT["entered"]]
-    by[:, :, AT["came"].start] = comes[:, None] * step
-    for name, share in of_the_body.items():
-        by[:, :, AT[name]] = share[:, :, None] * np.eye(3)
+    centres = np.einsum("nk,nij->nikj", places.weights, by_place)
+    by = {
+        **{name: share[:, :, None] * np.eye(3) for name, share in of_the_body.items()},
+        "earth": (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0],
+        "soft_iron": np.einsum("kij,nj->nik", ELEMENT_MATRICES, turned),
+        "shielding": (turned @ LEVEL)[:, :, None],
+        "installation": np.stack(axes[:2], axis=2),
+        "axes": axes[2][:, :, None],
+        "turned": axes[2][:, :, None],
+        "latency": delayed[:, :, None],
+        "gradient": (by_place[:, :, :, None] * ahead[:, None, None]).reshape(count, 3, 6),
+        "place": by_place,
+        "entered": added[:, :, None] * by_place,
+        "came": (comes[:, None] * step)[:, :, None],
+        CENTRES: centres.reshape(count, 3, -1),
+    }
     if nodes.currents is not None:
-        later = nodes.currents.change(shared[CURRENT_LATE])
-        by[:, :, CURRENT_LATE] = later[:, None] * shared[AT["motors_current"]]
-    by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
-    turned = inside_earth @ turn.T
-    for k in range(6):
-        by[:, :, AT["soft_iron"].start + k] = turned @ ELEMENT_MATRICES[k]
-    by[:, :, SHIELDING] = turned @ LEVEL
-    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y, YAW: turn @ Z}
-    turned_street = inside_street @ turn.T
-    for k, axis in axes.items():
-        by[:, :, k] = crossed(turned, axis) @ bend.T + crossed(turned_street, axis)
-    by[:, :, TURNED] = by[:, :, YAW]
-    by[:, :, AT["latency"].start] = np.einsum(
-        "nij,nj->ni", by_earth, crossed(rate, earth)
-    ) + np.einsum("nij,nj->ni", by_street, crossed(rate, street))
-    return Residuals(nodes.field - predicted, by_node, None, by)
-
-
-def _about_x(shared: FloatArray) -> FloatArray:
-    return rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
-
-
-QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # A quarter turn to the left in the level plane
-
-
-def force(course: Course, state: State) -> Residuals:
-    """Return the residuals of the specific force between nodes, m/s².
-
-    A vehicle's velocity stays level while its body sways: its acceleration is computed in level
-    axes. The lever arm rotates with the body.
-    """
-    nodes, shared = course.nodes, state.shared
-    level, up = course.axes[:, :2], course.axes[:, 2]
-    rate = nodes.link_rate - shared[AT["gyro_bias"]]
-    turning = (rate @ up)[:, None]
-    velocity = state.local[:, VELOCITY]
-    mean = 0.5 * (velocity[1:] + velocity[:-1])
-    seconds = nodes.seconds[:, None]
-    gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
-    # Half by the attitude of each end, so that a gyro error between them is no error of force.
-    along, back = 0.5 * nodes.along, 0.5 * nodes.along @ np.swapaxes(nodes.turned, 1, 2)
-    spin = skews(rate)
-    by_arm = spin @ spin + skews(nodes.swing)
-    acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
-    predicted = np.einsum("nij,nj->ni", along, gravity[:-1])
-    predicted += np.einsum("nij,nj->ni", back, gravity[1:])
-    predicted += acceleration @ level.T + by_arm @ shared[AT["lever_arm"]]
-    moving = 0.5 * (course.moving[1:] + course.moving[:-1])[:, None]
-    predicted += shared[AT["force_offset"]] + moving * shared[AT["force_moving"]]
-    count = len(seconds)
-    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    by_node[:, :, ATTITUDE] = -along @ skews(gravity[:-1])
-    by_next[:, :, ATTITUDE] = -back @ skews(gravity[1:])
-    bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
-    by_node[:, :, VELOCITY] = bend - level / seconds[:, :, None]
-    by_next[:, :, VELOCITY] = bend + level / seconds[:, :, None]
-    by = np.zeros((count, 3, SHARED))
-    by[:, :, AT["lever_arm"]] = by_arm
-    by[:, :, AT["force_offset"]] = np.eye(3)
-    by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
-    by[:, :, AT["mounting_yaw"]] = (acceleration @ QUARTER.T @ level.T)[:, :, None]
-    arm = shared[AT["lever_arm"]]
-    sideways = mean @ QUARTER.T @ level.T
-    # Of w x (w x r) and of the turning about up, with w = measured - bias.
-    by[:, :, AT["gyro_bias"]] = (
-        skews(crossed(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
+        later = nodes.currents.change(shared[CURRENT_LATE])[:, None] * shared[AT["motors_current"]]
+        by["current_late"] = later[:, :, None]
+    at_node = (
+        (ATTITUDE, by_attitude),
+        (STREET, by_place * places.rest[:, None, None]),
+        (BODY_FIELD, np.eye(3)),
     )
-    return Residuals(nodes.force - predicted, by_node, by_next, by)
+    return Residuals(nodes.field - predicted, at_node, (), by)
+
+
+def _turning(shared: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the axes of roll, pitch and yaw of the installation, in the magnetometer's axes."""
+    about_x = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
+    return X, about_x.T @ Y, installation(shared) @ Z
 
 
 def force_at_rest(measured: FloatArray, state: State) -> Residuals:
     """Return the residuals of the specific force at nodes at rest, (n, 3) in m/s²."""
     gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
-    by_node = np.zeros((len(measured), 3, LOCAL))
-    by_node[:, :, ATTITUDE] = -skews(gravity)
-    by = np.zeros((len(measured), 3, SHARED))
-    by[:, :, AT["force_offset"]] = np.eye(3)
-    return Residuals(measured - gravity - state.shared[AT["force_offset"]], by_node, None, by)
+    residual = measured - gravity - state.shared[AT["force_offset"]]
+    by = {"force_offset": np.eye(3)}
+    return Residuals(residual, [(ATTITUDE, -skews(gravity))], (), by)
 
 
 def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Residuals:
@@ -277,10 +236,8 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Res
     body axes.
     """
     off, by_attitude = _heading_residual(heading, forward, state)
-    by_node = np.zeros((len(heading), 1, LOCAL))
-    by_node[:, 0, ATTITUDE] = by_attitude
-    by_node[:, :, HEADING_DRIFT] = DEGREE
-    return Residuals(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), by_node)
+    residual = wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT])
+    return Residuals(residual, [(ATTITUDE, by_attitude), (HEADING_DRIFT, np.array([DEGREE]))])
 
 
 def known_turn(
@@ -291,58 +248,21 @@ def known_turn(
     `seconds` (n - 1,) are the durations over which the gyro's bias was integrated.
     """
     ahead, by_attitude = _heading_residual(np.zeros(len(forward)), forward, state)
-    by_node, by_next = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
-    by_node[:, 0, ATTITUDE], by_next[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
-    by = np.zeros((len(turned), 1, SHARED))
-    by[:, 0, BIAS_UP] = seconds
     # `ahead` is minus the heading.
     off = turned - seconds * state.shared[BIAS_UP] + ahead[1:] - ahead[:-1]
-    return Residuals(wrap_angle(off)[:, None], by_node, by_next, by)
+    by = {"gyro_bias": seconds[:, None, None] * Z}
+    node, later = [(ATTITUDE, -by_attitude[:-1])], [(ATTITUDE, by_attitude[1:])]
+    return Residuals(wrap_angle(off)[:, None], node, later, by)
 
 
 def _heading_residual(
     heading: FloatArray, forward: FloatArray, state: State
 ) -> tuple[FloatArray, FloatArray]:
-    """Return headings minus those of a state, and the derivative of the latter by attitude."""
+    """Return headings minus those of a state (n,), and the latter's derivative (n, 1, 3)."""
     east, north = state.attitude[:, :, 0], state.attitude[:, :, 1]
     x, y = np.sum(east * forward, axis=1), np.sum(north * forward, axis=1)
     turned = x[:, None] * np.cross(north, forward) - y[:, None] * np.cross(east, forward)
-    return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
-
-
-def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Residuals:
-    """Return the residuals of the wheels' speed, (n,) in m/s.
-
-    The speed is along the body's x axis if `is_ahead`, else in any direction.
-    """
-    by_node = np.zeros((len(measured), 1, LOCAL))
-    velocity = state.local[:, VELOCITY]
-    if is_ahead:
-        by_node[:, 0, VELOCITY.start] = 1.0
-        known, modelled = measured, velocity[:, 0]
-    else:
-        known, modelled = np.abs(measured), np.linalg.norm(velocity, axis=1)
-        by_node[:, 0, VELOCITY] = velocity / np.maximum(modelled, 1e-9)[:, None]
-    return Residuals(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], by_node)
-
-
-def gyro(course: Course, state: State) -> Residuals:
-    """Return the residuals of the gyro's rotation between nodes, radians."""
-    nodes, shared = course.nodes, state.shared
-    error = gyro_error(nodes, shared)
-    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
-    off = rotation_vectors(between @ np.swapaxes(nodes.turned, 1, 2) @ exp_rotations(-error))
-    count = len(error)
-    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    by_node[:, :, ATTITUDE] = -between
-    by_next[:, :, ATTITUDE] = np.eye(3)
-    by = np.zeros((count, 3, SHARED))
-    by[:, :, AT["gyro_bias"]] = -nodes.seconds[:, None, None] * np.eye(3)
-    by[:, 2, AT["bias_walk"]] = -bias_waves(nodes)
-    for row in range(3):
-        columns = AT["gyro_matrix"].start + 3 * row
-        by[:, row, columns : columns + 3] = -nodes.angle
-    return Residuals(-off, by_node, by_next, by)
+    return wrap_angle(heading - np.arctan2(y, x)), (turned / (x**2 + y**2)[:, None])[:, None]
 
 
 def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int, int]) -> Residuals:
@@ -351,30 +271,22 @@ def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int,
     `row` is the index of the unknown at the nodes. `correlation` (2, n - 1) are the coefficients F
     of the two unknowns `by` at the previous node.
     """
-    values, count = state.local, len(state.local) - 1
-    by_node, by_next = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
-    residual = -values[1:, row]
-    for share, column in zip(correlation, by, strict=True):
-        residual = residual + share * values[:-1, column]
-        by_node[:, 0, column] = -share
-    by_next[:, 0, row] = 1.0
-    return Residuals(residual[:, None], by_node, by_next)
+    values = state.local
+    residual = np.einsum("cn,nc->n", correlation, values[:-1, by]) - values[1:, row]
+    node = [(slice(c, c + 1), -f[:, None, None]) for c, f in zip(by, correlation, strict=True)]
+    return Residuals(residual[:, None], node, [(slice(row, row + 1), np.ones(1))])
 
 
 def process(state: State, which: slice, correlation: FloatArray) -> Residuals:
     """Return the residuals of a Gauss-Markov process, x[k + 1] = keeps[k] x[k] + noise."""
-    values = state.local[:, which]
+    values, eye = state.local[:, which], np.eye(which.stop - which.start)
     residual = correlation[:, None] * values[:-1] - values[1:]
-    width = which.stop - which.start
-    by_node, by_next = (np.zeros((len(correlation), width, LOCAL)) for _ in range(2))
-    by_node[:, :, which] = -correlation[:, None, None] * np.eye(width)
-    by_next[:, :, which] = np.eye(width)
-    return Residuals(residual, by_node, by_next)
+    return Residuals(residual, [(which, -correlation[:, None, None] * eye)], [(which, eye)])
 
 
 def heading_drift(state: State, correlation: FloatArray, seconds: FloatArray) -> Residuals:
     """Return the residuals of a heading drift: a Gauss-Markov process, plus a constant rate."""
     drift = process(state, HEADING_DRIFT, correlation)
-    drift.by_node[:, :, HEADING_RATE] = -seconds[:, None, None]
+    by_rate = HEADING_RATE, -seconds[:, None, None]
     evenly = seconds[:, None] * state.local[:-1, HEADING_RATE]
-    return replace(drift, residual=drift.residual + evenly)
+    return replace(drift, residual=drift.residual + evenly, node=[*drift.node, by_rate])

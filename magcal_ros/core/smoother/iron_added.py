@@ -26,7 +26,8 @@ from magcal_ros.core.smoother.drives import (
     held_priors,
     why_too_little,
 )
-from magcal_ros.core.smoother.factors import magnetic, turned_by
+from magcal_ros.core.smoother.factors import magnetic
+from magcal_ros.core.smoother.factors_of_motion import turned_by
 from magcal_ros.core.smoother.fit import Fit, fit
 from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, mixture
 from magcal_ros.core.smoother.model import path_between, solve_at

@@ -27,6 +27,7 @@ from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, 
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    ATTITUDE,
     BIAS_UP,
     BODY_FIELD,
     EARTH,
@@ -210,7 +211,7 @@ class KnownHeadingModel:
     def prior(self, state: State, size: float, drift: Drift) -> Prior:
         """Return the priors; parameters as for `residuals`."""
         local = np.full_like(state.local, 1.0)
-        local[:, : LOCAL - 8] = LEAST_VARIANCE
+        local[:, HEADING_DRIFT.start : ATTITUDE.stop] = LEAST_VARIANCE
         local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
         local[0, STREET] = size**-2.0
         local[1:, STREET] = LEAST_VARIANCE

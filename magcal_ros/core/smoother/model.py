@@ -10,7 +10,8 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.smoother import factors, factors_by_field
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother import factors_of_motion as motion
 from magcal_ros.core.smoother.currents import scale_by_current
 from magcal_ros.core.smoother.earth import GaussianEarthPrior
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Residuals
@@ -256,9 +257,9 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     if nodes.speed is not None:
         known = np.where(np.isfinite(nodes.speed), 1.0, math.inf)
         found["speed"] = measured(
-            "speed", factors.speed(nodes.speed, state, is_ahead=model.kind.has_wheels), known
+            "speed", motion.speed(nodes.speed, state, is_ahead=model.kind.has_wheels), known
         )
-    force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
+    force, gyro, unseen = motion.force(course, state), motion.gyro(course, state), nodes.unseen
     used = {"gyro": LEVEL_AXES, "gyro_up": UP_AXIS}
     if "lean" in model.priors.sizes:
         del used["gyro"]  # If a level axis is silent, neither is used.
@@ -313,7 +314,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
     nodes, course, state = model.nodes, point.course, point.state
     assert nodes.tied_to is not None
     per_node = nodes.usual_count / nodes.count[:-1]
-    force = factors_by_field.force_at_nodes(course, state)
+    force = motion.force_at_nodes(course, state)
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
@@ -324,12 +325,10 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
         "lean": _lean(model, point, nodes.tied_to),
         "gyro_up": sized(
             "gyro_up",
-            factors_by_field.turning(course, state, nodes.tied_to),
+            motion.turning(course, state, nodes.tied_to),
             np.where(starts, math.inf, nodes.seconds),
         ),
-        "speed_change": sized(
-            "speed_change", factors_by_field.sway(course, state), np.ones(len(per_node))
-        ),
+        "speed_change": sized("speed_change", motion.sway(course, state), np.ones(len(per_node))),
         "rate_change": sized(
             "rate_change", factors.process(state, RATE, np.ones(len(per_node))), nodes.seconds
         ),
@@ -339,7 +338,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, WeightedRes
 def _lean(model: Model, point: Point, axes: FloatArray) -> WeightedResiduals:
     """Return the prior residuals of the tilt off the robot's axis."""
     correlation = np.exp(-model.nodes.seconds / model.kind.tilted)
-    linear = factors_by_field.lean(point.state, axes, correlation)
+    linear = motion.lean(point.state, axes, correlation)
     return _measured(model, point, "lean", linear, 1.0 - correlation**2, 1e-3 * LEAST_VARIANCE)
 
 

@@ -12,7 +12,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoother.factors import motor_inputs
 from magcal_ros.core.smoother.model import Model, Point
 from magcal_ros.core.smoother.solver import Solution, StackedResiduals, WeightedResiduals
-from magcal_ros.core.smoother.unknowns import AT, LOCAL, UNKNOWNS, VELOCITY, Size
+from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
 
 SMALLEST = 4.0
 """Lower limit of a size, in spreads below the median; smaller sizes make no difference."""
@@ -83,7 +83,8 @@ class _Spread:
         """Return the blocks at the point of a solution."""
         own, beside = solution.chain.covariance()
         follow = solution.follow
-        cross = -(follow @ solution.covariance)
+        count = follow.shape[2]
+        cross = -(follow.reshape(-1, count) @ solution.covariance).reshape(follow.shape)
         own -= cross @ np.swapaxes(follow, 1, 2)
         beside -= cross[:-1] @ np.swapaxes(follow[1:], 1, 2)
         return cls(own, beside, cross, solution.covariance)
@@ -93,22 +94,20 @@ class _Spread:
     ) -> Iterator[tuple[WeightedResiduals, FloatArray]]:
         """Return the residuals with the sum of the variances of their components, shape (k,)."""
         for stack in stacks:
-            by_local, count = stack.rows[:, :, : stack.reached], len(stack.rows)
-            by_node, by_next = by_local[:, :, :LOCAL], by_local[:, :, LOCAL:]
-            if stack.reached == LOCAL:
-                total = ((by_node @ self.own[:count]) * by_node).sum(axis=2)
-            else:
-                total = ((by_node @ self.own[:-1]) * by_node).sum(axis=2)
-                total += ((2.0 * by_node @ self.beside + by_next @ self.own[1:]) * by_next).sum(
-                    axis=2
-                )
-            direct = stack.rows[:, :, stack.reached + 1 :]
-            if known := direct.shape[2]:
-                cross = by_node @ self.cross[:count]
-                if stack.reached > LOCAL:
-                    cross += by_next @ self.cross[1:]
-                own = (direct.reshape(-1, known) @ self.shared).reshape(direct.shape)
-                total += ((own + 2.0 * cross) * direct).sum(axis=2)
+            local, count, known = stack.local, len(stack.rows), stack.reached + 1
+            span = local.stop - local.start
+            by_node, by_next = stack.rows[:, :, :span], stack.rows[:, :, span : stack.reached]
+            own, beside = self.own[:, local, local], self.beside[:, local, local]
+            cross = self.cross[:, local]
+            direct = stack.rows[:, :, known:]
+            by_shared = by_node @ cross[:count] if direct.shape[2] else 0.0
+            total = ((by_node @ own[:count]) * by_node).sum(axis=2)
+            if stack.is_linking:
+                total += ((2.0 * by_node @ beside + by_next @ own[1:]) * by_next).sum(axis=2)
+                by_shared = by_shared + by_next @ cross[1:] if direct.shape[2] else 0.0
+            if direct.shape[2]:
+                alone = (direct.reshape(-1, direct.shape[2]) @ self.shared).reshape(direct.shape)
+                total += ((alone + 2.0 * by_shared) * direct).sum(axis=2)
             for part, own_columns in stack.columns:
                 yield part, total[:, own_columns].sum(axis=1)
 

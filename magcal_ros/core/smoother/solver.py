@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-from magcal_ros.core.smoother.factors import Residuals
+from magcal_ros.core.smoother.factors import Residuals, put
 from magcal_ros.core.smoother.unknowns import LOCAL
 
 
@@ -131,14 +131,15 @@ def solve(weighted: list[WeightedResiduals], prior: Prior, free: IntArray) -> So
     diagonal, upper, right = _of_nodes(stacks, prior, count)
     chain = block_tridiagonal(diagonal, upper)
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
-    cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
-    schur = information - cross.T @ solved[:, 1:]
+    # Views, not copies: with many nodes, the time is that of the memory.
+    cross, follow = right.reshape(nodes * LOCAL, -1)[:, 1:], solved[:, 1:]
+    schur = information - cross.T @ follow
     gradient -= cross.T @ solved[:, 0]
     schur = 0.5 * (schur + schur.T)
     covariance, by_shared = inverse_and_log_determinant(schur)
     step = covariance @ gradient
-    local = (solved[:, 0] - solved[:, 1:] @ step).reshape(nodes, LOCAL)
-    follow = solved[:, 1:].reshape(nodes, LOCAL, count)
+    local = (solved[:, 0] - follow @ step).reshape(nodes, LOCAL)
+    follow = follow.reshape(nodes, LOCAL, count)
     both = chain.log_determinant + by_shared
     return Solution(local, step, covariance, follow, schur, gradient, both, chain, stacks)
 
@@ -159,7 +160,8 @@ class StackedResiduals:
     """Derivatives by the nodes' unknowns, residual, and derivatives by the shared unknowns. Shape
     (k, d, reached + 1 + s)."""
     weighted: FloatArray  # the same times their weights
-    reached: int  # the number of unknowns of one node or of two neighbours
+    local: slice  # the unknowns of a node on which they depend
+    reached: int  # the number of these unknowns of one node, or of two neighbours
 
     @classmethod
     def of(cls, weighted: list[WeightedResiduals], free: IntArray) -> list[StackedResiduals]:
@@ -167,32 +169,35 @@ class StackedResiduals:
         alike: dict[tuple[int, bool, bool], list[WeightedResiduals]] = {}
         for part in weighted:
             linear = part.linear
-            key = len(linear.by_node), linear.by_next is None, linear.shared is None
+            key = len(linear.residual), bool(linear.later), bool(linear.shared)
             alike.setdefault(key, []).append(part)
         return [cls._of_alike(parts, free) for parts in alike.values()]
 
     @classmethod
     def _of_alike(cls, parts: list[WeightedResiduals], free: IntArray) -> StackedResiduals:
-        first = parts[0].linear
-        reached = LOCAL if first.by_next is None else 2 * LOCAL
-        count = 0 if first.shared is None else len(free)
+        like, ranges = parts[0].linear, [part.linear.local for part in parts]
+        first, end = min(each[0] for each in ranges), max(each[1] for each in ranges)
+        reached = (end - first) * (2 if like.later else 1)
+        count = len(free) if like.shared else 0
         width = sum(part.linear.residual.shape[1] for part in parts)
-        rows = np.zeros((len(first.by_node), width, reached + 1 + count))
-        weight, columns, at = np.empty((len(first.by_node), width, 1)), [], 0
+        rows = np.zeros((len(like.residual), width, reached + 1 + count))
+        weight, columns, at = np.empty((len(rows), width, 1)), [], 0
         for part in parts:
             linear = part.linear
             own = slice(at, at + linear.residual.shape[1])
-            rows[:, own, :LOCAL] = linear.by_node
-            if linear.by_next is not None:
-                rows[:, own, LOCAL:reached] = linear.by_next
+            put(rows[:, own], linear.node, first)
+            put(rows[:, own, end - first :], linear.later, first)
             rows[:, own, reached] = linear.residual
-            if linear.shared is not None:
-                shared = linear.by(free)
-                rows[:, own, reached + 1 : reached + 1 + shared.shape[2]] = shared
+            linear.put_shared(rows[:, own, reached + 1 :], free)
             weight[:, own, 0] = part.weight[:, None]
             columns.append((part, own))
             at = own.stop
-        return cls(columns, rows, weight * rows, reached)
+        return cls(columns, rows, weight * rows, slice(first, end), reached)
+
+    @property
+    def is_linking(self) -> bool:
+        """Whether each of the residuals depends on two neighbouring nodes."""
+        return bool(self.reached > self.local.stop - self.local.start)
 
     @property
     def square(self) -> FloatArray:
@@ -214,15 +219,16 @@ def _of_nodes(
     diagonal[:, each, each] = prior.local_information
     right[:, :, 0] = prior.local_information * prior.local_offset
     for stack in stacks:
-        reached, number = stack.reached, len(stack.rows)
+        local, reached, number = stack.local, stack.reached, len(stack.rows)
+        span = local.stop - local.start
         product = np.swapaxes(stack.rows[:, :, :reached], 1, 2) @ stack.weighted
         known = product.shape[2] - reached
-        diagonal[:number] += product[:, :LOCAL, :LOCAL]
-        right[:number, :, :known] += product[:, :LOCAL, reached:]
-        if reached > LOCAL:
-            diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
-            upper += product[:, :LOCAL, LOCAL:reached]
-            right[1:, :, :known] += product[:, LOCAL:, reached:]
+        diagonal[:number, local, local] += product[:, :span, :span]
+        right[:number, local, :known] += product[:, :span, reached:]
+        if stack.is_linking:
+            diagonal[1:, local, local] += product[:, span:, span:reached]
+            upper[:, local, local] += product[:, :span, span:reached]
+            right[1:, local, :known] += product[:, span:, reached:]
     return diagonal, upper, right
 
 

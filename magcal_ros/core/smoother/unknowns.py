@@ -18,16 +18,17 @@ from magcal_ros.core.knowledge import STREET_LENGTH
 MICROTESLA = 1e6  # microtesla in a tesla
 WAVES = 6  # sine waves that represent the random walk of the gyro's bias over a window
 
-ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
-ACCELERATION = slice(11, 13)
-"""Unknowns of a node: attitude increment (rad, body axes); velocity (m/s, level axes of the body);
-local disturbance of the Earth's field (µT, world axes); coloured noise of the body's field (µT);
-correlated change of the velocity (m/s², level axes of the body)."""
+ACCELERATION, VELOCITY, ATTITUDE = slice(0, 2), slice(2, 4), slice(4, 7)
+STREET, BODY_FIELD = slice(7, 10), slice(10, 13)
+"""Unknowns of a node: correlated change of the velocity (m/s², level axes of the body); velocity
+(m/s, the same axes); attitude increment (rad, body axes); local disturbance of the Earth's field
+(µT, world axes); coloured noise of the body's field (µT). The unknowns of one measurement are
+neighbours."""
 LOCAL = 13
-HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
+HEADING_DRIFT, HEADING_RATE = slice(2, 3), slice(3, 4)
 """At known headings, in place of the velocity: the drift of a device's heading, degrees, and its
 constant rate, degrees per second."""
-RATE, CLIMB = slice(5, 6), 6
+RATE, CLIMB = slice(7, 8), slice(8, 9)
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
 and the accelerometer's velocity upward, m/s."""
 

@@ -27,6 +27,7 @@ from magcal_ros.core.smoother import (
     DRIVES,
     MICROTESLA,
     SMALL_CIRCLE,
+    VELOCITY,
     corrected,
     drive_nodes,
     fit_drive,
@@ -168,7 +169,7 @@ def test_the_speed_of_the_wheels_is_the_velocity_ahead(drive):
     speed = drive.truth.speed
     found = fit_to(drive, speed=True).fit
     by_time = np.interp(found.model.nodes.time, drive.time, speed)
-    ahead = found.state.local[:, 3]
+    ahead = found.state.local[:, VELOCITY.start]
     assert np.median(np.abs(ahead - by_time)) < 0.3
 
 

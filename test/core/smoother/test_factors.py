@@ -14,6 +14,7 @@ from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother import (
     ACCELERATION,
     AT,
+    ATTITUDE,
     CURRENT_LATE,
     LOCAL,
     RATE,
@@ -26,7 +27,7 @@ from magcal_ros.core.smoother import (
     Residuals,
     State,
     factors,
-    factors_by_field,
+    factors_of_motion,
     nodes_of,
     priors_of,
 )
@@ -59,7 +60,7 @@ def state(course: Course) -> State:
     for turned in nodes.turned:
         attitude.append(turned @ attitude[-1])
     local = 0.3 * rng.standard_normal((len(nodes), LOCAL))
-    local[:, :3] = 0.0
+    local[:, ATTITUDE] = 0.0
     local[:, RATE] = nodes.rate @ turn_axes(course)[:, 2:] + 0.01 * local[:, RATE]
     shared = priors_of(Robot().knowledge()).mean + 1e-3 * rng.standard_normal(SHARED)
     shared[AT["motors_current"]] = [1.0, -2.0, 0.5]
@@ -114,25 +115,25 @@ def force_at_rest(_: Course, state: State) -> Residuals:
 
 
 def turning(course: Course, state: State) -> Residuals:
-    return factors_by_field.turning(course, state, turn_axes(course))
+    return factors_of_motion.turning(course, state, turn_axes(course))
 
 
 def lean(course: Course, state: State) -> Residuals:
     axes = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
-    return factors_by_field.lean(state, axes, np.full(len(state.local) - 1, 0.7))
+    return factors_of_motion.lean(state, axes, np.full(len(state.local) - 1, 0.7))
 
 
 def speed_ahead(_: Course, state: State) -> Residuals:
-    return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=True)
+    return factors_of_motion.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=True)
 
 
 def speed_any_way(_: Course, state: State) -> Residuals:
-    return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=False)
+    return factors_of_motion.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=False)
 
 
 BY_SHARED = (
-    *(magnetic, factors.force, factors.gyro, force_at_rest),
-    *(factors_by_field.force_at_nodes, factors_by_field.sway, turning, lean),
+    *(magnetic, factors_of_motion.force, factors_of_motion.gyro, force_at_rest),
+    *(factors_of_motion.force_at_nodes, factors_of_motion.sway, turning, lean),
     known_turn,
 )
 FACTORS = (*BY_SHARED, process, followed, known_heading, speed_ahead, speed_any_way)
@@ -142,8 +143,8 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
     """Return the derivative of a prediction along a step."""
 
     def at(sign: float) -> np.ndarray:
-        # Without a gyro the direction ahead is unknown.
-        ahead = sign * STEP * shared[AT["mounting_yaw"]] * (factor is factors.force)
+        by_force = factor in (factors_of_motion.force, factors_of_motion.force_at_nodes)
+        ahead = sign * STEP * shared[AT["mounting_yaw"]] * by_force
         turned = replace(course, axes=course.axes @ rotation_about(factors.Z, ahead)[0])
         return factor(turned, state.moved(sign * STEP * local, sign * STEP * shared)).residual
 
@@ -155,17 +156,19 @@ def test_derivatives_by_unknowns_of_nodes_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Residuals]
 ) -> None:
     linear = factor(course, state)
-    scale = max(np.abs(linear.by_node).max(), 1.0)
+    by_node, by_next = np.zeros((2, *linear.residual.shape, LOCAL))
+    factors.put(by_node, linear.node)
+    factors.put(by_next, linear.later)
+    scale = max(np.abs(by_node).max(), 1.0)
     count, none = len(linear.residual), np.zeros(SHARED + 12)
     for unknown in range(LOCAL):
         for parity in (0, 1):
             local = np.zeros((len(state.local), LOCAL))
             local[parity::2, unknown] = 1.0
             expected = np.zeros_like(linear.residual)
-            expected[parity::2] = linear.by_node[parity::2, :, unknown]
-            if linear.by_next is not None:
-                rows = np.arange(1 - parity, count, 2)
-                expected[rows] += linear.by_next[rows, :, unknown]
+            expected[parity::2] = by_node[parity::2, :, unknown]
+            rows = np.arange(1 - parity, count, 2)
+            expected[rows] += by_next[rows, :, unknown]
             found = change(factor, course, state, local, none)
             np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
 
@@ -175,15 +178,14 @@ def test_derivatives_by_shared_unknowns_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Residuals]
 ) -> None:
     linear = factor(course, state)
-    assert linear.shared is not None
-    scale = max(np.abs(linear.shared).max(), 1.0)
+    by_shared = linear.by(np.arange(SHARED + 12))
+    scale = max(np.abs(by_shared).max(), 1.0)
     local = np.zeros((len(state.local), LOCAL))
     for unknown in range(SHARED + 12):
         shared = np.zeros(SHARED + 12)
         shared[unknown] = 1.0
         found = change(factor, course, state, local, shared)
-        has = unknown < linear.shared.shape[2]
-        expected = linear.shared[:, :, unknown] if has else np.zeros_like(found)
+        expected = by_shared[:, :, unknown]
         # What battery and gyro did before the window and after it is not known.
         rows = slice(4, -4) if unknown == CURRENT_LATE else slice(None)
         np.testing.assert_allclose(found[rows], expected[rows], atol=1e-3 * scale)

@@ -51,9 +51,7 @@ def test_a_matrix_that_is_not_positive_definite_is_refused():
 @pytest.mark.parametrize("freedom", [1.0, 2.0, 6.0, 1e9])
 def test_the_density_of_every_student_distribution_integrates_to_that_of_a_gaussian(freedom):
     x = np.sinh(np.linspace(-12.0, 12.0, 20_001))
-    costs = WeightedResiduals(
-        Residuals(x[:, None], np.zeros((len(x), 1, 1))), np.full(len(x), 4.0), freedom
-    )
+    costs = WeightedResiduals(Residuals(x[:, None], ()), np.full(len(x), 4.0), freedom)
     density = np.exp(-0.5 * (costs.costs + costs.normaliser))
     total = np.sum(0.5 * (density[1:] + density[:-1]) * np.diff(x))
     assert total == pytest.approx(np.sqrt(2.0 * np.pi), rel=1e-4)
