@@ -189,7 +189,8 @@ def optimum(
         converged = converged and abs(evidence - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
-        if rounds > fewest and 0.0 <= before - evidence < (evidence - limit) / tolerances.ahead:
+        ahead = min(tolerances.ahead, tolerances.rounds - rounds)
+        if rounds > fewest and 0.0 <= (before - evidence) * ahead < evidence - limit:
             break
         before = evidence
         if rounds > tolerances.undamped:

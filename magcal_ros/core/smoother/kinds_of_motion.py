@@ -60,7 +60,7 @@ ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
 ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
-PART, FEWEST_OF_PART = 200.0, 100
+PART, FEWEST_OF_PART = 60.0, 100
 """Length in seconds of the part of a long window that is first tried as a turn on the spot, and the
 fewest samples in it."""
 MOST_FITS = 2 * len(KINDS) + 1
@@ -158,10 +158,9 @@ class _MotionFits:
 
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        known, rival = self.fits.get(name), math.inf
-        if like is not None and like is not known:
-            # A first fit, or one that is continued, may improve slowly for many rounds.
-            rival = self._equal_weight(name)
+        known = self.fits.get(name)
+        # A fit that is continued may improve slowly for many rounds.
+        rival = math.inf if known is not None and like is known else self._equal_weight(name)
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -259,7 +258,7 @@ class _MotionFits:
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
-        self.add(ON_WHEELS, tolerances=ROUGH)
+        self.add(ON_WHEELS, rested, ROUGH)
         moved = self.fits.get(ON_WHEELS)
         if rested is not None and (moved is None or rested.evidence < moved.evidence):
             self.nodes, self.fits[ON_WHEELS] = resting, rested
