@@ -158,32 +158,32 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     first = _first_rows(time, steps, unseen, spacing, lost)
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2
-    count = (last - first).astype(float)
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
-    mean_rate = block_means(rate, first)
-    links = _Links.of(time, attitude, middle, steps, unseen, velocity)
+    mean_rate, seconds = block_means(rate, first), np.diff(time[middle])
+    increments = steps, velocity, unseen
+    angle, force, missed, along = _between_middles(time, attitude, middle, *increments)
     if rested is None:
         quiet = _quiet(window, field, first)
     else:
         quiet = np.logical_and.reduceat(rested, first)
     nodes = Nodes(
-        time[middle],
-        block_means(field, first),
-        block_means(from_middle, first),
-        mean_rate,
-        count,
-        quiet,
-        np.diff(time[middle]),
-        attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
-        links.angle,
-        links.force,
-        links.along,
-        np.diff(mean_rate, axis=0) / np.diff(time[middle])[:, None],
-        np.add.reduceat(np.append(intervals, 0.0), middle)[:-1],
-        links.unseen,
-        float(np.median(white_noise(field))),
-        block_means(window.specific_force, first),
-        None if window.wheel_speed is None else block_means(window.wheel_speed, first),
+        time=time[middle],
+        field=block_means(field, first),
+        inside=block_means(from_middle, first),
+        rate=mean_rate,
+        count=(last - first).astype(float),
+        quiet=quiet,
+        seconds=seconds,
+        turned=attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
+        swing=np.diff(mean_rate, axis=0) / seconds[:, None],
+        samples=np.add.reduceat(np.append(intervals, 0.0), middle)[:-1],
+        angle=angle,
+        force=force,
+        along=along,
+        unseen=missed,
+        noise=float(np.median(white_noise(field))),
+        mean_force=block_means(window.specific_force, first),
+        speed=None if window.wheel_speed is None else block_means(window.wheel_speed, first),
         currents=_currents(window, first, quiet),
         working=working_axes(rate),
     )
@@ -206,17 +206,17 @@ def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
     """Return the nodes without the links (n - 1,) in which gyro samples are missing."""
     if not lost.any():
         return nodes
-    rows, empty = lost[:, None], np.zeros(3)
-    return replace(
-        nodes,
-        seconds=np.where(lost, NO_GYRO_SECONDS, nodes.seconds),
-        turned=np.where(rows[:, None], np.eye(3), nodes.turned),
-        angle=np.where(rows, empty, nodes.angle),
-        along=np.where(rows[:, None], np.eye(3), nodes.along),
-        swing=np.where(rows, empty, nodes.swing),
-        samples=np.where(lost, 0.0, nodes.samples),
-        unseen=np.where(rows, NO_GYRO_VARIANCE, nodes.unseen),
-    )
+    empty = {
+        "seconds": NO_GYRO_SECONDS,
+        "unseen": NO_GYRO_VARIANCE,
+        **dict.fromkeys(("turned", "along"), np.eye(3)),
+        **dict.fromkeys(("angle", "swing", "samples"), 0.0),
+    }
+    changes = {}
+    for name, value in empty.items():
+        changes[name] = getattr(nodes, name).copy()
+        changes[name][lost] = value
+    return replace(nodes, **changes)
 
 
 def _first_rows(
@@ -262,39 +262,25 @@ def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArra
     return np.asarray(np.sqrt(square).max(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class _Links:
-    """Means between the middles of neighbours, by the trapezoidal rule."""
-
-    angle: FloatArray
-    force: FloatArray
-    along: FloatArray
-    unseen: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        time: FloatArray,
-        attitude: FloatArray,
-        middle: IntArray,
-        steps: FloatArray,
-        unseen: FloatArray,
-        velocity: FloatArray,
-    ) -> _Links:
-        seconds = np.diff(time[middle])
-        ends = np.diff(middle)
-        start = np.repeat(middle[:-1], ends)
-        rows = np.arange(middle[0], middle[-1])
-        share = np.diff(time)[rows] / np.repeat(seconds, ends)
-        back = np.swapaxes(attitude[start], 1, 2)
-        along = 0.5 * share[:, None, None] * (attitude[rows] + attitude[rows + 1]) @ back
-        begin = middle[:-1] - middle[0]
-        return cls(
-            np.add.reduceat(steps[rows], begin, axis=0),
-            np.add.reduceat(velocity[rows], begin, axis=0) / seconds[:, None],
-            np.add.reduceat(along, begin, axis=0),
-            np.add.reduceat(unseen[rows], begin, axis=0),
-        )
+def _between_middles(
+    time: FloatArray,
+    attitude: FloatArray,
+    middle: IntArray,
+    steps: FloatArray,
+    velocity: FloatArray,
+    unseen: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return `angle`, `force`, `unseen` and `along` of `Nodes`, by the trapezoidal rule."""
+    seconds, ends = np.diff(time[middle]), np.diff(middle)
+    rows, begin = np.arange(middle[0], middle[-1]), middle[:-1] - middle[0]
+    share = np.diff(time)[rows] / np.repeat(seconds, ends)
+    back = np.swapaxes(attitude[np.repeat(middle[:-1], ends)], 1, 2)
+    along = 0.5 * share[:, None, None] * (attitude[rows] + attitude[rows + 1]) @ back
+    angle, force, missed, turned = (
+        np.add.reduceat(each, begin, axis=0)
+        for each in (steps[rows], velocity[rows], unseen[rows], along)
+    )
+    return angle, force / seconds[:, None], missed, turned
 
 
 def _with_rests(
@@ -324,37 +310,41 @@ def _with_rest(nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: F
     times = np.array([far, near] if is_before else [near, far])
     per_second = nodes.count.sum() / max(np.ptp(nodes.time), 1e-3)
     count = np.full(2, max(0.5 * rest.seconds * per_second, 1.0))
-    turned = to_rest.T if is_before else to_rest
+    # From the start of the rest to its end, and from there to the node beside it.
     order = slice(None) if is_before else slice(None, None, -1)
-    links = [(np.eye(3), rest.force, rest.seconds, count[0]), (turned, np.zeros(3), gap, 0.0)]
-    links = links[order]
+    turned = np.array([np.eye(3), to_rest.T if is_before else to_rest])[order]
     lag = at if is_before else at - 1
-
-    def put(values: FloatArray, rows: FloatArray, where: int) -> FloatArray:
-        return np.insert(values, where, rows, axis=0)
-
-    field = np.tile(to_body @ rest.field * MICROTESLA, (2, 1))
-    seconds = np.array([link[2] for link in links])
-    angles = -rotation_vectors(np.array([link[0] for link in links]))
-    return Nodes(
-        put(nodes.time, times, at),
-        put(nodes.field, field, at),
-        put(nodes.inside, np.tile(np.eye(3), (2, 1, 1)), at),
-        put(nodes.rate, np.zeros((2, 3)), at),
-        put(nodes.count, count, at),
-        np.insert(nodes.quiet, at, np.array([True, True])),
-        put(nodes.seconds, seconds, lag),
-        put(nodes.turned, np.array([link[0] for link in links]), lag),
-        put(nodes.angle, angles, lag),
-        put(nodes.force, np.array([link[1] for link in links]), lag),
-        put(nodes.along, np.tile(np.eye(3), (2, 1, 1)), lag),
-        put(nodes.swing, np.zeros((2, 3)), lag),
-        put(nodes.samples, np.array([link[3] for link in links]), lag),
-        put(nodes.unseen, np.zeros((2, 3)), lag),
-        nodes.noise,
-        put(nodes.mean_force, np.tile(rest.force, (2, 1)), at),
-        None if nodes.speed is None else put(nodes.speed, np.zeros(2), at),
-        nodes.added_from,
-        nodes.tied_to,
-        None if nodes.currents is None else nodes.currents.with_rest(at, *sorted((far, near))),
+    eyes, zeros, force = (
+        np.tile(np.eye(3), (2, 1, 1)),
+        np.zeros((2, 3)),
+        np.tile(rest.force, (2, 1)),
     )
+    of_nodes = {
+        "time": times,
+        "field": np.tile(to_body @ rest.field * MICROTESLA, (2, 1)),
+        "inside": eyes,
+        "rate": zeros,
+        "count": count,
+        "quiet": np.array([True, True]),
+        "mean_force": force,
+        **({} if nodes.speed is None else {"speed": np.zeros(2)}),
+    }
+    of_links = {
+        "seconds": np.array([rest.seconds, gap])[order],
+        "turned": turned,
+        "angle": -rotation_vectors(turned),
+        "force": (force * [[1.0], [0.0]])[order],
+        "along": eyes,
+        "swing": zeros,
+        "samples": np.array([count[0], 0.0])[order],
+        "unseen": zeros,
+    }
+    rows = [(at, of_nodes), (lag, of_links)]
+    changes = {
+        name: np.insert(getattr(nodes, name), where, values, axis=0)
+        for where, each in rows
+        for name, values in each.items()
+    }
+    if nodes.currents is not None:
+        changes["currents"] = nodes.currents.with_rest(at, *sorted((far, near)))
+    return replace(nodes, **changes)

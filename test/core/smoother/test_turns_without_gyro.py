@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from long_form import first_of
-from realistic_robots import by_turn
+from realistic_robots import by_rested_turn, by_turn, collected
 from realistic_robots import heading_error as turn_error
 from simulated.turns import Motion, measure, smooth_wobble, turn
 
@@ -17,6 +17,7 @@ from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples import working_axes
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
+from magcal_ros.core.smoother import nodes_of
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
 
@@ -162,3 +163,11 @@ def test_turns_with_too_little_information_are_refused(motion: Motion, reason: R
     with pytest.raises(Refusal) as refused:
         fit(window, known(ROBOT))
     assert refused.value.reason is reason
+
+
+def test_a_rest_beside_a_turn_does_not_wake_silent_axes_of_the_gyro():
+    scene, _ = by_rested_turn("even", "typical", "open")(0)
+    window = collected(scene.window)
+    assert window.rests
+    window = replace(window, angular_rate=window.angular_rate * [0.0, 0.0, 1.0])
+    assert nodes_of(window, np.eye(3)).working == (False, False, True)
