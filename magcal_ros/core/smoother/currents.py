@@ -17,16 +17,15 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
 from magcal_ros.core.samples.battery import Battery
-from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE, UNKNOWNS, USUALLY_LATE
+from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE, MOST_SPREADS, UNKNOWNS, USUALLY_LATE
 
 MARGIN = 1e4  # of the clock before the first and after the last message, s and A²
 POINTS = (np.arange(8) + 0.5) / 8.0  # fractions of a node at which the current is computed
 START_TIME = 0.1  # seconds in which motors start
 STEP = 0.02  # seconds, of the derivative by the delay
-DELAYS = np.arange(0.0, 0.41, 0.1)  # delays of the messages that are tried, seconds
-SPREAD = 2.0
-"""Prior standard deviation of the natural logarithm of each rate and variance."""
-MOST_SPREADS = 4.0  # limit of these logarithms, in standard deviations
+SPREAD = UNKNOWNS["motors_current"].spread
+"""Prior standard deviation of the natural logarithm of each rate and variance: that of the field,
+as both depend on the robot alone."""
 NOISE = 0.01  # usual noise of a message over the largest current
 LEAST = 1e-6  # A² that is added to each variance
 
@@ -99,7 +98,7 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
     usual = np.log(np.append(usual, (NOISE * battery.largest) ** 2))
     bounds = [(each - MOST_SPREADS * SPREAD, each + MOST_SPREADS * SPREAD) for each in usual]
     best, found = math.inf, usual
-    for delay in DELAYS:
+    for delay in USUALLY_LATE * np.arange(5):
         moments = battery.time - delay
         passed = np.diff([np.interp(moments, time, part) for part in parts.T]).T
         moves = _moves(moments, time, parts[:, 1])

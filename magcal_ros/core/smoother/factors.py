@@ -6,7 +6,6 @@ Attitudes are perturbed on the body's side, R <- exp(phi) R.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -41,16 +40,12 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-DEGREE = math.radians(1.0)
-
-ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Row and column of each soft-iron parameter."""
-
 
 def _element_matrices() -> FloatArray:
-    out = np.zeros((6, 3, 3))
-    for k, (row, column) in enumerate(ELEMENTS):
-        out[k, row, column] = out[k, column, row] = 1.0
+    """Return the derivative of the soft iron by each of its parameters, shape (6, 3, 3)."""
+    out, each = np.zeros((6, 3, 3)), np.arange(6)
+    rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    out[each, rows, columns] = out[each, columns, rows] = 1.0
     return out
 
 
@@ -236,8 +231,8 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Res
     body axes.
     """
     off, by_attitude = _heading_residual(heading, forward, state)
-    residual = wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT])
-    return Residuals(residual, [(ATTITUDE, by_attitude), (HEADING_DRIFT, np.array([DEGREE]))])
+    residual = wrap_angle(off[:, None] - np.radians(state.local[:, HEADING_DRIFT]))
+    return Residuals(residual, [(ATTITUDE, by_attitude), (HEADING_DRIFT, np.radians([1.0]))])
 
 
 def known_turn(

@@ -40,7 +40,6 @@ FEWEST_SINCE = 4  # nodes before and after the moment at which iron was added
 STEEL_ODDS, STEEL_LENGTH = 300.0, 100.0
 """Prior odds of steel on the path (bridges, tunnels, garages) against iron added to the robot, and
 the mean length of such a disturbance, metres."""
-CONSTANT_ERROR = 0.15  # sigma of the constant error of sensors and place over a drive, µT
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,8 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     correction = calibration.correction
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     own = correction.matrix @ calibration.covariance[9:, 9:] @ correction.matrix.T
-    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), CONSTANT_ERROR)
+    # Over a drive, sensors and place have a constant error of the size of a drift.
+    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), UNKNOWNS["drift"].sigma)
     priors = held_priors(inside, knowledge, known)
     same = held_fit(inside, priors)
     if same is None:

@@ -41,6 +41,7 @@ from magcal_ros.core.smoother.unknowns import (
     SMALL_CIRCLE,
     UNKNOWNS,
     USUAL,
+    USUALLY_LATE,
 )
 from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
@@ -63,9 +64,6 @@ WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 PART, FEWEST_OF_PART = 60.0, 100
 """Length in seconds of the part of a long window that is first tried as a turn on the spot, and the
 fewest samples in it."""
-MOST_FITS = 2 * len(KINDS) + 1
-"""Of a drive: each kind of motion roughly, the likeliest to the end, and the others from it."""
-LATE_BY = 0.1  # initial delay of the field in the iterations of `LATE`, seconds
 CONFOUNDED = "installation", "soft_iron", "axes", "iron"
 """Unknowns that are confounded with a part moved on the robot."""
 LARGEST_GAIN = 3.0  # by which soft iron may amplify the field along an axis: its prior ends there
@@ -154,7 +152,9 @@ class _MotionFits:
             if self._progress is not None:
                 # How many rounds it takes is not known beforehand.
                 share = rounds / (rounds + 0.5 * ROUGH.rounds)
-                self._progress(min((done + share) / MOST_FITS, 1.0))
+                # Of a drive: each kind roughly, the likeliest to the end, the others from it.
+                most = 2 * len(KINDS) + 1
+                self._progress(min((done + share) / most, 1.0))
 
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
@@ -194,10 +194,13 @@ class _MotionFits:
         if max(groups[name] for name in MOTORS) < BEYOND_USUAL:
             return spot
         shared = spot.state.shared.copy()
-        shared[AT["latency"]] = LATE_BY
+        shared[AT["latency"]] = USUALLY_LATE
         for name in MOTORS:
             shared[AT[name]] = 0.0
-        usual = {**dict.fromkeys(MOTORS, 1.0), "latency": LATE_BY / UNKNOWNS["latency"].sigma[0]}
+        usual = {
+            **dict.fromkeys(MOTORS, 1.0),
+            "latency": USUALLY_LATE / UNKNOWNS["latency"].sigma[0],
+        }
         point = replace(
             spot.point, state=replace(spot.state, shared=shared), groups={**groups, **usual}
         )

@@ -19,6 +19,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
 from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.fit import Tolerances
 from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
@@ -42,9 +43,7 @@ from magcal_ros.core.smoother.unknowns import (
     Size,
 )
 
-X = np.array([1.0, 0.0, 0.0])
-STEPS = 30
-CLOSE = 1e-2  # sigmas of an unknown below which a step ends the iterations
+TOLERANCES = Tolerances(rounds=30, step=0.01)
 BY_MOTION = (
     *("gyro_bias", "bias_walk", "gyro_matrix", "lever_arm", "latency"),
     *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
@@ -83,7 +82,7 @@ class KnownHeadingMeasurement:
     sigma: float  # standard deviation of the heading, radians
     by_declination: bool = False
     """Whether the heading was given to true north: such headings share the declination's error."""
-    forward: FloatArray = member(default_factory=lambda: X)
+    forward: FloatArray = member(default_factory=lambda: factors.X)
     """Direction in body axes that `heading` refers to; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
@@ -233,10 +232,10 @@ class KnownHeadingModel:
     ) -> KnownHeadingOptimum:
         """Return the optimum; parameters as for `residuals`."""
         state, free = start or self.start, self.free
-        for _ in range(STEPS):
+        for _ in range(TOLERANCES.rounds):
             weighted, prior = self.residuals(state, size, drift), self.prior(state, size, drift)
             solution = solve(list(weighted.values()), prior, free)
-            if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
+            if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < TOLERANCES.step:
                 break
             shared = np.zeros(SHARED)
             shared[free] = solution.shared

@@ -18,14 +18,11 @@ from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32  # centres at most
-CLOSEST = 2.0  # metres between centres at least
 REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a repeated pass
 SHORTEST_LOOP = 5.0  # metres of path between two passes of a place, at least
 NEAR_SHARE, NEAR_LENGTH = 0.3, 2.0
 """Share of the variance that is alike over a few metres only, and their number: in streets 20 to
-40% of it changes within 2 m."""
-WITHIN = np.array([-1.0, 0.0, 1.0]) / 3.0
-"""Points of a node's piece of the path, over its length, whose mean stands for the node."""
+40% of it changes within 2 m. Centres are at least as far apart."""
 LEAST_REST = 0.003  # smallest share of the variance that is left to a node
 
 
@@ -66,7 +63,7 @@ class Places:
         again = np.flatnonzero(is_repeated)
         if not len(again):
             return cls.none(len(way), length)
-        rows, apart = _spread_out(way[again], CLOSEST)
+        rows, apart = _spread_out(way[again], NEAR_LENGTH)
         chosen = again[rows]
         if len(again) < len(way):
             apart = length
@@ -74,7 +71,9 @@ class Places:
             return cls.none(len(way), length)
         centres = way[chosen]
         among = _correlation(_distances(centres, centres), length) + 1e-6 * np.eye(len(centres))
-        pieces = way[:, None] + WITHIN[:, None] * np.gradient(way, axis=0)[:, None]
+        # The mean over a node's piece of the path is that of the middles of its thirds.
+        within = np.array([-1.0, 0.0, 1.0])[:, None] / 3.0
+        pieces = way[:, None] + within * np.gradient(way, axis=0)[:, None]
         to_nodes = _correlation(_distances(pieces, centres), length).mean(axis=1)
         own = _correlation(_distances(pieces, pieces), length).mean(axis=(1, 2))
         information = np.asarray(np.linalg.inv(among), dtype=np.float64)

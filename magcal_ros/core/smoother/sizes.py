@@ -12,10 +12,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoother.factors import motor_inputs
 from magcal_ros.core.smoother.model import Model, Point
 from magcal_ros.core.smoother.solver import Solution, StackedResiduals, WeightedResiduals
-from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
+from magcal_ros.core.smoother.unknowns import AT, MOST_SPREADS, UNKNOWNS, VELOCITY, Size
 
-SMALLEST = 4.0
-"""Lower limit of a size, in spreads below the median; smaller sizes make no difference."""
 LARGEST_STEP = 0.7
 """Largest step of the logarithm of a noise size, or of the distortion's factor, in one round."""
 
@@ -126,7 +124,7 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
         change += max(-0.5, min(0.5, step))
         if abs(step) < 1e-4:
             break
-    least = belief.usual * math.exp(-SMALLEST * belief.spread)
+    least = belief.usual * math.exp(-MOST_SPREADS * belief.spread)
     return min(
         belief.most, max(least, size * math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change))))
     )

@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.rotations import (
 )
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.smoother.factors import motor_inputs
+from magcal_ros.core.smoother.factors import Z, motor_inputs
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import Course, State, level_axes
@@ -39,7 +39,6 @@ UP_SECONDS = 4.0  # seconds over which up is averaged
 LARGEST_MOTORS = 20.0
 """Prior sigma of the motors' field at the start, over the usual residual of a node."""
 PIECE_SECONDS = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
-Z = np.array([0.0, 0.0, 1.0])
 
 
 def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> tuple[State, Priors]:

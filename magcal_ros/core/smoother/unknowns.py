@@ -205,7 +205,10 @@ UNKNOWNS: dict[str, Unknown] = {
 }
 MOTORS = "motors_moving", "motors_rate", "motors_current"
 BEYOND_USUAL = 2.0  # factor of the motors' usual size from which they are taken to add a field
-USUALLY_LATE = 0.1  # usual latency of the current of a battery, seconds
+USUALLY_LATE = 0.1
+"""Usual latency of the current of a battery, and of a field that is late, seconds."""
+MOST_SPREADS = 4.0
+"""Limit of the logarithms of sizes, in spreads from the median; beyond it nothing changes."""
 
 IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and non-orthogonal axes
 MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")

@@ -20,6 +20,7 @@ from magcal_ros.core.geometry.shapes import fit_circle_robustly
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.factors import Z
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.start import StartGuess, starts
@@ -42,7 +43,6 @@ NODE, SWAY_SMOOTHED = 0.3, 0.1
 """Seconds of a node at most, and those (one sigma) over which the force is averaged for the rate of
 the sway: a robot that sways may tilt by `Spacing.most_turn` (RMS) during a node."""
 CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
-Z = np.array([0.0, 0.0, 1.0])
 MOUNTED = 0.1  # sigma of a robot's up off the z axis of its IMU, radians: most are mounted level
 LEAN = Size(0.02, 0.7, 6.0, "rad", "tilt of the body off its axis on the way", "roads: .01 to .05")
 SWAY: Mapping[str, Size] = {
