@@ -222,11 +222,11 @@ def _with_covariance(
 
     `end` are the rounds, whether they converged, and the last step of the answer.
     """
-    windows = zip(models, points, joint.solutions, strict=True)
+    windows = list(zip(models, points, joint.solutions, strict=True))
     wide = agreed(models, [_widened(*each) for each in windows])
     widened = Joint.at(models, wide, is_expected=True)
     if not models[0].priors.fields.is_known:
-        means = [earth_of(*each) for each in zip(models, points, joint.solutions, strict=True)]
+        means = [earth_of(*each) for each in windows]
         joint, gain = _with_mixture(models, joint, means)
         widened, _ = _with_mixture(models, widened, means)
         taken = zip(models, points, joint.solutions, strict=True)
@@ -390,9 +390,8 @@ def _widened(model: Model, point: Point, solution: Solution) -> Point:
     steady turn cannot separate these: each may be as large as their sum.
     """
     _, shown, _ = noise_sizes(model, point, solution)
-    beliefs = model.priors.sizes
     wide = {
-        name: expected_square(size, shown.get(name, 0.0), beliefs[name])
+        name: expected_square(size, shown.get(name, 0.0), model.priors.sizes[name])
         for name, size in point.sizes.items()
     }
     expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))

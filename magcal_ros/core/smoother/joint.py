@@ -94,6 +94,8 @@ def rows_of(groups: Sequence[str]) -> IntArray:
 
 def agreed(models: Sequence[Model], points: Sequence[Point]) -> list[Point]:
     """Return points with the same factors of the common groups."""
+    if len(models) == 1:
+        return list(points)
     factors = {name: points[k].groups[name] for name, k in common_groups(models).items()}
     return with_factors(models, points, factors)
 

@@ -158,19 +158,19 @@ def effect_factors(
         rows = model.priors.rows_of_group[name]
         if spread == 0.0 or not len(rows):
             continue
-        alone, column = np.eye(len(rows)), covariance[:, rows]
-        own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
-        mean = covariance[rows] @ by_samples
+        column, mean = covariance[:, rows], covariance[rows] @ by_samples
         x, log_prior = model.priors.factors_of(name, found)
         as_expected = name in expected or name == "axes"
         if name == "soft_iron" and not (as_expected or model.priors.has_exact_axes):
             # Soft iron multiplies the attitudes: the linearisation holds near the point only.
             is_near = np.abs(x - math.log(found[name])) < LARGEST_STEP
             log_prior = np.where(is_near, log_prior, -math.inf)
-        factor = _factor(x, log_prior, own, mean, found[name], is_expected=as_expected)
+        factor = _factor(x, log_prior, column[rows], mean, found[name], is_expected=as_expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
-            covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
+            covariance -= column @ np.linalg.solve(
+                np.eye(len(rows)) / more + column[rows], column.T
+            )
         found[name] = factor
     return found
 
@@ -178,7 +178,7 @@ def effect_factors(
 def _factor(
     x: FloatArray,
     log_prior: FloatArray,
-    posterior: FloatArray,
+    covariance: FloatArray,
     mean: FloatArray,
     before: float,
     *,
@@ -186,13 +186,14 @@ def _factor(
 ) -> float:
     """Return the factor of a group's sigmas: the most likely one, or its root mean square.
 
-    The posterior of a group without its prior is the likelihood with all other unknowns
-    marginalised. The marginal likelihood of any factor follows in closed form. `x` are the tried
-    logarithms of the factor, and `log_prior` their log prior density.
+    `covariance` and `mean` are the posterior of a group with the factor `before`. Without its
+    prior it is the likelihood with all other unknowns marginalised. The marginal likelihood of any
+    factor follows in closed form. `x` are the tried logarithms of the factor, and `log_prior` their
+    log prior density.
     """
-    values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
-    values = np.maximum(values, 0.0)
-    drawn = vectors.T @ posterior @ mean
+    spread, vectors = np.linalg.eigh(covariance)
+    values = np.maximum(1.0 / spread - before**-2.0, 0.0)
+    drawn = (vectors.T @ mean) / spread
     square = np.exp(2.0 * x)[:, None]
     more = square * values
     likely = 0.5 * (square * drawn**2 / (1.0 + more) - np.log1p(more)).sum(axis=1) + log_prior
