@@ -223,10 +223,6 @@ class Currents:
             np.insert(self.end, nodes, end),
         )
 
-    def part(self, rows: slice) -> Currents:
-        """Return the currents of some nodes."""
-        return Currents(self.battery, self.clock, self.begin[rows], self.end[rows])
-
 
 def scale_by_current(
     currents: Currents | None, shared: FloatArray, variance: FloatArray, most: float

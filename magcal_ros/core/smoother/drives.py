@@ -38,7 +38,6 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     UNKNOWNS,
 )
-from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
 FEWEST = 16  # nodes of the shortest drive that is fitted
 FIXED = 0.01  # prior spread of the logarithm of a size that is held fixed
@@ -109,7 +108,7 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     `NO_SOLUTION` if no fit converges, `AXES_DISAGREE` if the gyro or the axes are wrong.
     """
     check_length(nodes)
-    priors = with_dead_axes(priors_of(knowledge, log.bias_sigma), nodes.working)
+    priors = priors_of(knowledge, log.bias_sigma).with_dead_axes(nodes.working)
     state, about = start(nodes, priors)
     try:
         found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
@@ -161,17 +160,17 @@ def held_priors(
     `iron` (3,) is the sigma of the remaining hard iron, µT. `may_change` allows small changes of
     installation and soft iron. The nodes are those that will be fitted.
     """
-    priors = with_dead_axes(priors_of(knowledge), nodes.working)
-    scale = priors.scale.copy()
-    for name in HELD:
-        scale[AT[name]] = 0.0
-    # Up is taken as measured: only an offset along z is free, which does not tilt up.
-    scale[AT["force_offset"]][:2] = 0.0
-    scale[AT["iron"]] = iron
+    priors = priors_of(knowledge).with_dead_axes(nodes.working)
+    scales: dict[str, FloatArray | float] = {
+        **dict.fromkeys(HELD, 0.0),
+        # Up is taken as measured: only an offset along z is free, which does not tilt up.
+        "force_offset": priors.scale[AT["force_offset"]] * [0.0, 0.0, 1.0],
+        "iron": iron,
+    }
     if may_change:
-        scale[AT["installation"]], scale[AT["soft_iron"]] = KEPT_TILT, KEPT_SOFT_IRON
+        scales |= {"installation": KEPT_TILT, "soft_iron": KEPT_SOFT_IRON}
     spread = {**priors.spread, "installation": 0.0, "soft_iron": 0.0}
-    return replace(priors, scale=scale, spread=spread)
+    return replace(priors.with_scales(scales), spread=spread)
 
 
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:

@@ -108,14 +108,11 @@ def _of_all_moments(correction: Correction, fits: list[Fit], best: Fit) -> Drive
 
 def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
     """Return the fit with an effect that starts within a node and stays; None if it fails."""
-    scale = priors.scale.copy()
-    for each in (name, "came"):
-        scale[AT[each]] = UNKNOWNS[each].sigma
+    free = priors.with_scales({each: UNKNOWNS[each].sigma for each in (name, "came")})
     nodes = replace(same.model.nodes, added_from=float(same.model.nodes.time[node]))
     state = _begun(same, name, node)
     # The weights at the optimum without a change take the change for outliers.
     like = replace(same, point=replace(same.point, state=state, is_robust=False))
-    free = replace(priors, scale=scale)
     try:
         return fit(nodes, free, state, KINDS[ON_WHEELS], TOLERANCES, like)
     except np.linalg.LinAlgError:

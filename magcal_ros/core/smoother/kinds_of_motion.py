@@ -43,7 +43,6 @@ from magcal_ros.core.smoother.unknowns import (
     USUAL,
     USUALLY_LATE,
 )
-from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
 EVIDENCE_WEIGHT = 0.25
 """Weight of the evidence, which is minus twice a logarithm; exact evidence would have 0.5.
@@ -116,7 +115,7 @@ class _MotionFits:
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
-        priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), self.nodes.working)
+        priors = priors_of(knowledge, samples.bias_sigma).with_dead_axes(self.nodes.working)
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
 
@@ -141,10 +140,12 @@ class _MotionFits:
         like: Fit | None = None,
         tolerances: Tolerances = Tolerances(),
         priors: Priors | None = None,
+        rival: float = math.inf,
     ) -> None:
         """Fit one kind of motion, and keep the fit if it is the most likely one of its kind.
 
-        `priors` are those of this kind alone, if they differ from those of the others.
+        `priors` are those of this kind alone, if they differ from those of the others. `rival` is
+        the evidence of a fit that this one has to beat.
         """
         done, self._started = self._started, self._started + 1
 
@@ -159,8 +160,9 @@ class _MotionFits:
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         known = self.fits.get(name)
-        # A fit that is continued may improve slowly for many rounds.
-        rival = math.inf if known is not None and like is known else self._equal_weight(name)
+        if known is None or like is not known:
+            # A fit that is continued may improve slowly for many rounds.
+            rival = min(rival, self._equal_weight(name))
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -261,7 +263,9 @@ class _MotionFits:
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
-        self.add(ON_WHEELS, rested, ROUGH)
+        # From the same start and for as many rounds as the fit with rests, to be comparable.
+        least = math.inf if rested is None else rested.evidence
+        self.add(ON_WHEELS, tolerances=ROUGH, rival=least)
         moved = self.fits.get(ON_WHEELS)
         if rested is not None and (moved is None or rested.evidence < moved.evidence):
             self.nodes, self.fits[ON_WHEELS] = resting, rested

@@ -145,30 +145,31 @@ class KnownHeadingModel:
         cls, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
     ) -> KnownHeadingModel:
         """Return measurements as nodes, with the priors from the knowledge."""
-        field_ = np.array([each.field for each in measurements]) @ knowledge.mounting.to_body.T
-        force = np.array([each.force for each in measurements])
-        heading = np.array([each.heading for each in measurements])
-        forward = np.array([each.forward for each in measurements])
-        course = course_of(field_ * MICROTESLA)
-        seconds = np.array([each.seconds for each in measurements[1:]])
+
+        def column(name: str, first: int = 0) -> FloatArray:
+            return np.array([getattr(each, name) for each in measurements[first:]], dtype=float)
+
+        force, heading, forward = column("force"), column("heading"), column("forward")
+        course = course_of(column("field") @ knowledge.mounting.to_body.T * MICROTESLA)
+        seconds, by = column("seconds", 1), column("by_declination")
         priors = _priors(knowledge, bool(seconds.any()))
         state = _start(course.nodes, force, heading, forward, priors)
-        by = np.array([each.by_declination for each in measurements], dtype=float)
-        common = np.array([each.common_sigma for each in measurements])
+        mean = priors.mean.copy()
+        mean[AT["iron"]] = state.shared[AT["iron"]]
         return cls(
             course,
             force,
-            np.array([each.force_sigma for each in measurements]),
+            column("force_sigma"),
             heading,
-            np.array([each.sigma for each in measurements]),
+            column("sigma"),
             forward,
-            np.array([each.turned for each in measurements[1:]]),
-            np.array([each.turned_sigma for each in measurements[1:]]),
+            column("turned", 1),
+            column("turned_sigma", 1),
             seconds,
             any(each.drifts for each in measurements),
-            np.exp(-np.array([each.distance for each in measurements[1:]]) / priors.lengths.street),
-            np.hypot(by * knowledge.reference.declination_sigma, common),
-            replace(priors, mean=_about(priors, state)),
+            np.exp(-column("distance", 1) / priors.lengths.street),
+            np.hypot(by * knowledge.reference.declination_sigma, column("common_sigma")),
+            replace(priors, mean=mean),
             state,
         )
 
@@ -328,41 +329,27 @@ def _start(
     return state
 
 
-def _about(priors: Priors, state: State) -> FloatArray:
-    """Return the means of the priors, that of the hard iron at the start."""
-    mean = priors.mean.copy()
-    mean[AT["iron"]] = state.shared[AT["iron"]]
-    return mean
-
-
-def _nodes(field_: FloatArray) -> Nodes:
-    """Return nodes at rest without links; field (n, 3) in nominal axes, µT."""
-    n = len(field_)
-    one, links = np.eye(3), n - 1
-    several = np.repeat(one[None], n, axis=0)
-    return Nodes(
-        time=np.arange(n, dtype=float),
-        field=field_,
-        inside=several,
-        rate=np.zeros((n, 3)),
-        count=np.ones(n),
-        quiet=np.ones(n, dtype=bool),
-        seconds=np.ones(links),
-        turned=several[:links],
-        angle=np.zeros((links, 3)),
-        force=np.full((links, 3), [0.0, 0.0, STANDARD_GRAVITY]),
-        along=several[:links],
-        swing=np.zeros((links, 3)),
-        samples=np.zeros(links),
-        unseen=np.zeros((links, 3)),
-        noise=0.0,
-        mean_force=np.full((n, 3), [0.0, 0.0, STANDARD_GRAVITY]),
-    )
-
-
 def course_of(field_: FloatArray) -> Course:
     """Return the course of nodes at rest, by their field (n, 3) in nominal axes, µT."""
-    nodes = _nodes(field_)
-    n = len(nodes)
-    zeros, still = np.zeros(n), np.ones(n, dtype=bool)
-    return Course(nodes, np.eye(3), zeros, ~still, still, zeros, zeros)
+    n, links = len(field_), len(field_) - 1
+    eyes, zeros = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    still, force = np.ones(n, dtype=bool), np.tile([0.0, 0.0, STANDARD_GRAVITY], (n, 1))
+    nodes = Nodes(
+        time=np.arange(n, dtype=float),
+        field=field_,
+        inside=eyes,
+        rate=zeros,
+        count=np.ones(n),
+        quiet=still,
+        seconds=np.ones(links),
+        turned=eyes[:links],
+        angle=zeros[:links],
+        force=force[:links],
+        along=eyes[:links],
+        swing=zeros[:links],
+        samples=np.zeros(links),
+        unseen=zeros[:links],
+        noise=0.0,
+        mean_force=force,
+    )
+    return Course(nodes, np.eye(3), np.zeros(n), ~still, still, np.zeros(n), np.zeros(n))

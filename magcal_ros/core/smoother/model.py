@@ -164,8 +164,6 @@ class Point:
     def moved_to(self, model: Model) -> Point:
         """Return the same values as an initial point for another kind of motion."""
         places = model.no_places
-        if model.nodes.tied_to is not None:
-            return self
         state = places.with_disturbance(self.state, self.places.disturbance(self.state))
         local = state.local.copy()
         local[:, VELOCITY] *= np.minimum(

@@ -15,13 +15,14 @@ from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced
 from magcal_ros.core.samples.window import Window, white_noise, working_axes
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
-from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
 """Fields of `Nodes` that describe the links between nodes."""
 NO_GYRO_VARIANCE, NO_GYRO_SECONDS = 10.0, 1000.0
 """Variance of the rotation (radians²) and duration (seconds) of a link without gyro samples."""
+STILL_FIELD = 0.3
+"""Change of the mean field between nodes of a robot at rest, in addition to noise, µT."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class Nodes:
 
     def between(self, start: float, end: float = math.inf) -> Nodes:
         """Return the nodes after `start` up to `end`, seconds."""
+        assert self.currents is None  # A drive's log has no battery.
         first, last = np.searchsorted(self.time, [start, end], side="right")
         links = slice(first, max(last - 1, first))
         changes = {}
@@ -86,8 +88,6 @@ class Nodes:
                 changes[each.name] = value[links]
             elif isinstance(value, np.ndarray) and each.name != "tied_to":
                 changes[each.name] = value[first:last]
-            elif isinstance(value, Currents):
-                changes[each.name] = value.part(slice(first, last))
         return replace(self, **changes)
 
     @property
@@ -260,6 +260,39 @@ def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArra
     mean = block_means(values, first)
     square = block_means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first)
     return np.asarray(np.sqrt(square).max(axis=1))
+
+
+def rests(
+    mean_field: FloatArray,
+    count: FloatArray,
+    field: FloatArray,
+    shaking: FloatArray,
+    rocking: FloatArray,
+) -> BoolArray:
+    """Return in which nodes the robot may be at rest, by field, force and rate, shape (n,).
+
+    Each node has a mean field (n, 3) in µT, a number of samples (n,), and standard deviations (n,)
+    of field (µT), force (m/s²) and rate (rad/s).
+    """
+    quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
+    return quiet & _field_stays(mean_field, field, count)
+
+
+def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
+    """Return which nodes (n,) vary little more than the quietest tenth (ten nodes at most)."""
+    return np.asarray(spread < 1.6 * _most_quiet(spread) + least)
+
+
+def _most_quiet(spread: FloatArray) -> float:
+    return float(np.quantile(spread, min(0.1, 10.0 / len(spread))))
+
+
+def _field_stays(mean: FloatArray, spread: FloatArray, count: FloatArray) -> BoolArray:
+    """Return which nodes (n,) have the same field as a neighbour, within the noise at rest."""
+    noise = _most_quiet(spread) / np.sqrt(count)
+    limit = STILL_FIELD + 3.0 * np.hypot(noise[1:], noise[:-1])
+    stays = np.abs(np.diff(mean, axis=0)).max(axis=1) < limit
+    return np.asarray(np.append(stays, False) | np.insert(stays, 0, False))
 
 
 def _between_middles(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,16 +21,20 @@ from magcal_ros.core.smoother.unknowns import (
     FREEDOM_IF_PASSED,
     IRON_OVER_AXES,
     LASTING,
+    LEAN,
     MODULE,
     NOTHING,
     SHARED,
     SIZES,
+    SWAY,
     UNKNOWNS,
     USUALLY_LATE,
     Lengths,
     Size,
 )
 
+MOUNTED = 0.1  # sigma of a robot's up off the z axis of its IMU, radians: most are mounted level
+CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
 GRID = 60  # number of factors of an effect's sigma that are tried
 RATIOS = np.linspace(-8.0, 8.0, 81)
 """Tried logarithms of the ratio of distortions by soft iron and by non-orthogonal axes."""
@@ -75,6 +79,56 @@ class Priors:
         """The priors of a turn past which something magnetic moves: wrong samples of the field."""
         field = self.sizes["field"]._replace(freedom=FREEDOM_IF_PASSED)
         return replace(self, sizes={**self.sizes, "field": field})
+
+    def with_scales(self, scales: Mapping[str, FloatArray | Sequence[float] | float]) -> Priors:
+        """Return the priors with other sigmas of some groups."""
+        scale = self.scale.copy()
+        for name, sigma in scales.items():
+            scale[AT[name]] = sigma
+        return replace(self, scale=scale)
+
+    @property
+    def in_a_gradient(self) -> Priors:
+        """The priors of a magnetometer that moves through a field gradient."""
+        return self.with_scales({"gradient": UNKNOWNS["gradient"].sigma})
+
+    @property
+    def in_a_circle(self) -> Priors:
+        """The priors of a robot that may drive a small circle, with a distant pivot."""
+        along, across, up = self.scale[AT["lever_arm"]]
+        more = CIRCLE / UNKNOWNS["lever_arm"].sigma[0]
+        spread = {**self.spread, "lever_arm": 0.0}
+        found = self.with_scales({"lever_arm": [more * along, more * across, up]})
+        return replace(found, spread=spread)
+
+    def with_dead_axes(self, living: tuple[bool, bool, bool]) -> Priors:
+        """Return the priors of a window in which axes of the gyro are silent.
+
+        The robot turns about an axis that is fixed in the body, and tilts off it. Without a limit
+        of the tilt, the centripetal acceleration of a circle would count as tilt.
+        """
+        if all(living):
+            return self
+        living_of = np.array(living, dtype=float)
+        scales = {
+            "gyro_bias": living_of * self.scale[AT["gyro_bias"]],
+            "gyro_matrix": np.repeat(living_of, 3) * self.scale[AT["gyro_matrix"]],
+            "bias_walk": living_of[2] * self.scale[AT["bias_walk"]],
+            "axis": MOUNTED,
+            "upright": UNKNOWNS["upright"].sigma,
+        }
+        return replace(self.with_scales(scales), sizes={**self.sizes, "lean": LEAN})
+
+    def without_rates(self, *, rests: bool) -> Priors:
+        """Return the priors of a window without a gyro; `rests` is whether it contains a rest."""
+        held = ["gyro_bias", "bias_walk", "gyro_matrix", "gradient", "latency"]
+        if not self.fields.is_known:
+            held.append("shielding")
+        free = {name: UNKNOWNS[name].sigma for name in ("axis", "upright", "sway_arm")}
+        # Without a rest, the size of the accelerometer's shift in motion is not observable.
+        spread = self.spread if rests else {**self.spread, "force_moving": 0.0}
+        found = self.with_scales({**dict.fromkeys(held, 0.0), **free})
+        return replace(found, spread=spread, sizes={**self.sizes, **SWAY})
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
         """Return mean and variance of the log of a group's factor, from the known factors."""

@@ -1,5 +1,9 @@
 """A turn without a gyro: each geometric solution is fitted and weighted by its evidence.
 
+The field shows the turn rate about the turn's axis, which is used only to average samples to nodes.
+The attitudes of neighbouring nodes are linked because the robot turns about a fixed axis and sways,
+so that up changes slowly in body axes.
+
 The sense of rotation follows from a magnetometer whose z is within a quarter turn of its nominal
 direction; only a gyro could show that it is mounted upside down.
 """
@@ -7,26 +11,38 @@ direction; only a gyro could show that it is mounted upside down.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import minimal_rotation
+from magcal_ros.core.geometry.shapes import fit_circle_robustly
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.factors import Z
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixture_of_kinds
-from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
-from magcal_ros.core.smoother.state import Course, State
-from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, PASSED, SMALL_CIRCLE
-from magcal_ros.core.smoother.without_gyro import (
-    guesses,
-    in_a_circle,
-    in_a_gradient,
-    nodes_by_field,
-    state_distance,
-    without_rates,
+from magcal_ros.core.smoother.start import StartGuess, starts
+from magcal_ros.core.smoother.state import Course, State, level_axes
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    EARTH,
+    KINDS,
+    LOCAL,
+    MICROTESLA,
+    ON_THE_SPOT,
+    PASSED,
+    RATE,
+    ROLL_PITCH,
+    SHIELDING,
+    SMALL_CIRCLE,
 )
 
 NOTHING_FITS = "no installation and hard iron fit these samples; check the axes and repeat the turn"
@@ -36,12 +52,52 @@ USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """Prior weights of the kinds of motion without a gyro, which alone could distinguish them."""
 RESTART = Tolerances(fewest=4)  # from the optimum of another kind of motion
 RANKING = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
+SMOOTHED = 0.5
+"""Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
+NODE, SWAY_SMOOTHED = 0.3, 0.1
+"""Seconds of a node at most, and those (one sigma) over which the force is averaged for the rate of
+the sway: a robot that sways may tilt by `Spacing.most_turn` (RMS) during a node."""
 ROOTS = 2  # starts that are iterated to the end
 RIVAL = 0.05  # probability from which another root is a rival
 DISTINCT = 0.05  # least distance of distinct solutions: radians, and hard iron over the field
 STARTS_WITHIN, ROOTS_WITHIN = 60.0, 30.0
 """Largest difference of minus twice the log evidence from the best one: of starts after a few
 rounds, and of solutions at their optimum. The others are dropped."""
+
+
+def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
+    """Return the nodes of a window without a gyro, with the turn rate from the field."""
+    window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
+    field = window.field @ to_body.T * MICROTESLA
+    circle = fit_circle_robustly(field)
+    usual = unit(np.median(window.specific_force, axis=0))
+    axis = circle.normal * math.copysign(1.0, float(circle.normal @ usual))
+    turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
+    rate = np.gradient(-_smooth(window.time, turn[:, None], SMOOTHED), window.time, axis=0) * axis
+    made = replace(window, angular_rate=rate, missed=None)
+    nodes = nodes_of(made, to_body, Spacing(longest=_longest(window)))
+    return replace(nodes, tied_to=minimal_rotation(Z, axis))
+
+
+def _longest(window: Window) -> float:
+    """Return the duration of a node in which a robot sways by at most `Spacing.most_turn`, RMS."""
+    up = unit(_smooth(window.time, window.specific_force, SWAY_SMOOTHED))
+    rate = np.linalg.norm(np.gradient(up, window.time, axis=0), axis=1)
+    return min(NODE, Spacing().most_turn / max(math.sqrt(float(np.mean(rate**2))), 1e-9))
+
+
+def _smooth(time: FloatArray, values: FloatArray, seconds: float) -> FloatArray:
+    """Return values averaged over some seconds to both sides, about a straight line."""
+    step = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / 2000.0)
+    grid = np.arange(time[0], time[-1] + step, step)
+    rows = interpolated(grid, time, values)
+    reach = max(1, min(round(3.0 * seconds / step), (len(grid) - 1) // 2))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / seconds) ** 2)
+    padded = np.pad(rows, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    smooth = np.stack(
+        [np.convolve(axis, kernel / kernel.sum(), mode="valid") for axis in padded.T], axis=1
+    )
+    return interpolated(time, grid, smooth)
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
@@ -53,7 +109,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
-    priors = without_rates(usual, rests=rests)
+    priors = usual.without_rates(rests=rests)
     led = (_upright(like.model.priors, like) for like in _best(nodes, priors, knowledge))
     roots = _distinct([each for each in led if each is not None], ROOTS_WITHIN)
     if not roots:
@@ -72,8 +128,8 @@ def _with_gradient(first: Fit) -> dict[str, Fit]:
     """
     # A gradient resembles non-orthogonal axes, so that these start as orthogonal.
     like = without_distortion(first)
-    spot = _upright(in_a_gradient(first.model.priors), like) or first
-    circle = _upright(in_a_circle(spot.model.priors), spot)
+    spot = _upright(first.model.priors.in_a_gradient, like) or first
+    circle = _upright(spot.model.priors.in_a_circle, spot)
     if circle is None:
         return {ON_THE_SPOT: spot}
     if circle.evidence < spot.evidence:
@@ -135,3 +191,52 @@ def rival_gap(found: Smoothed) -> float:
         return 0.0
     one, other = (posterior(found.fits[name], np.eye(3)) for name in by_root.values())
     return one.distance_to(other)
+
+
+def guesses(
+    nodes: Nodes, priors: Priors, reference: ReferenceField
+) -> list[tuple[Nodes, State, Priors]]:
+    """Return the starts: every geometric solution for axis, circle and dip."""
+    up = unit(_smooth(nodes.time, nodes.mean_force, SMOOTHED))
+    found = []
+    assert nodes.tied_to is not None
+    for guess in starts(nodes.field, up, reference):
+        # The installation tilts the axis that the field shows.
+        turning = nodes.in_axes(minimal_rotation(nodes.tied_to[:, 2], guess.axis))
+        found.append((turning, *_as_state(guess, turning, priors)))
+    return found
+
+
+def state_distance(one: State, other: State) -> float:
+    """Return the larger difference: of installation (radians), or of hard iron over the field."""
+    off = np.abs(one.shared - other.shared)
+    field = float(np.linalg.norm(one.shared[EARTH]))
+    return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
+
+
+def _as_state(guess: StartGuess, nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
+    shared = priors.mean.copy()
+    shared[AT["iron"]] = guess.iron
+    shared[ROLL_PITCH] = guess.roll, guess.pitch
+    level, down = guess.strength * np.array(
+        [math.cos(guess.inclination), math.sin(guess.inclination)]
+    )
+    shared[EARTH] = level, down
+    if priors.scale[SHIELDING] > 0.0:
+        shared[SHIELDING] = _gain(nodes.field, guess.attitude, shared[EARTH]) - 1.0
+    local = np.zeros((len(nodes), LOCAL))
+    assert nodes.tied_to is not None
+    local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
+    about = priors.about(guess.iron, level_axes(np.median(guess.attitude[:, :, 2], axis=0)))
+    return State(guess.attitude, local, shared), about
+
+
+def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
+    """Return the ratio of the varying part of a field (n, 3) to that expected by the attitudes.
+
+    `earth` is the level and the downward field. A steel body may weaken the field to a fifth.
+    """
+    level, down = earth
+    expected = attitude @ np.array([0.0, level, -down])
+    turns, seen = expected - expected.mean(axis=0), field - field.mean(axis=0)
+    return max(float(np.sum(turns * seen) / np.sum(turns**2)), 0.2)

@@ -250,6 +250,17 @@ SIZES: dict[str, Size] = {
     "slip": Size(0.01, 2.0, 4.0, "m/s²", "the same sideways", "wheels .01 to .05", most=3.0),
 }
 
+LEAN = Size(0.02, 0.7, 6.0, "rad", "tilt of the body off its axis on the way", "roads: .01 to .05")
+SWAY: Mapping[str, Size] = {
+    "lean": Size(0.01, 1.5, 6.0, "rad", "tilt of the body off its axis", "robots: 0 to .05", 0.03),
+    "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beyond a changing rate", "jerks", 0.05),
+    "rate_change": Size(0.05, 1.5, 4.0, "rad/s/√s", "change of the turn rate", "0 to .3", 0.2),
+    "speed_change": Size(
+        0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
+    ),
+}
+"""With silent axes of the gyro, the tilt off the turn's axis; the others without a gyro."""
+
 DISTURBANCE_AT_REST = Size(
     0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"
 )
