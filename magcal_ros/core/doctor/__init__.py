@@ -10,10 +10,9 @@ __getattr__, __dir__, __all__ = lazy_names(
     guide: Guide GuideStep
     health: alive_finding field_findings gravity_size_finding noise_findings repeats_finding
         stamps_finding stuck_axes
-    latency: force_latency
-    prepared: prepare
+    prepared: prepare segment_of_log
     quirks: AK09916_IN_ICM20948 AK8963_IN_MPU9250 FIELD_POINTS_UP QUIRKS WRAP
-    segment: segment_of_log
     sensor_report: SensorReport examine examine_window refusal_by_sensors wrong_axes
+    turn_fit: force_latency
     """,
 )

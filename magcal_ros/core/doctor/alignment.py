@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.doctor.doctor_tuning import WIDE, AlignmentPriors
-from magcal_ros.core.doctor.segment import Segment
+from magcal_ros.core.doctor.prepared import Segment
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     chained,
@@ -76,7 +76,7 @@ def align(
 
     Parameters as for `AlignmentFit`.
     """
-    problem, noise = AlignmentFit(segment, axes, gyro, WIDE, with_up), START_NOISE
+    problem, noise = AlignmentFit(segment, axes, gyro, with_up), START_NOISE
     at = problem.descend(problem.linearised(problem.start()), noise, FIRST_STEPS)
     information, _, cost = problem.normal_equations(at, noise)
     state, rms, misfit = at.state.copy(), at.rms, cost - cost.min()
@@ -84,7 +84,7 @@ def align(
     for limit, steps in ROUNDS:
         left = misfit[kept] <= limit
         kept, at = kept[left], at.of(left)
-        problem = AlignmentFit(segment, axes[kept], gyro[kept], WIDE, with_up)
+        problem = AlignmentFit(segment, axes[kept], gyro[kept], with_up)
         best = int(np.argmin(cost[left]))
         noise = problem.noise(at, best)
         problem.share = np.array([1.0 / inefficiency(values) for values in at.residual[best]])
@@ -166,10 +166,9 @@ class AlignmentFit:
         segment: Segment,
         axes: FloatArray,
         gyro: FloatArray,
-        tuning: AlignmentPriors,
         with_up: bool = True,
+        priors: AlignmentPriors = WIDE,
     ) -> None:
-        self.tuning = tuning
         self.segment = segment
         self.sensors = 2 if with_up else 1
         self.share = np.ones(self.sensors)
@@ -183,13 +182,13 @@ class AlignmentFit:
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
         symmetric = np.eye(9) - antisymmetric
         loose, free = 1e-3, 1e-6
-        iron, bias = tuning.hard_iron**-2.0, tuning.bias**-2.0
-        ends = [tuning.scale**-2.0, tuning.lag**-2.0]
+        iron, bias = priors.hard_iron**-2.0, priors.bias**-2.0
+        ends = [priors.scale**-2.0, priors.lag**-2.0]
         sizes = [[0.0] * 9, [loose] * 3, [iron] * 3, [free] * 3, [bias] * 3, ends]
         self.prior = np.diag(np.concatenate(sizes))
         # A rotation by d has two elements ± d: hence the factor 0.5.
         self.prior[SOFT, SOFT] = (
-            0.5 * antisymmetric / tuning.installation**2 + symmetric / tuning.soft_iron**2
+            0.5 * antisymmetric / priors.installation**2 + symmetric / priors.soft_iron**2
         )
 
     def start(self) -> FloatArray:
@@ -257,7 +256,7 @@ class AlignmentFit:
         values = at.residual[best]
         typical = np.sqrt(np.median(np.sum(values**2, axis=2), axis=1) / 2.37)
         whole = float(np.linalg.norm(at.state[best, FIELD]))
-        floors = [self.tuning.field_floor * max(1.0, whole), self.tuning.up_floor]
+        floors = [WIDE.field_floor * max(1.0, whole), WIDE.up_floor]
         return np.asarray(np.maximum(typical, floors[: self.sensors]))
 
     def normal_equations(
@@ -268,7 +267,7 @@ class AlignmentFit:
         The cost is twice the negative logarithm of the posterior.
         """
         state, residual, jacobian = at
-        nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
+        nu, sigma = WIDE.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
         chi2 = np.sum(residual**2, axis=3) / sigma**2
         weight = (share / (nu + chi2) / sigma**2)[..., None, None]

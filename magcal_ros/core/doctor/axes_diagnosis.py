@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypotheses
-from magcal_ros.core.doctor.doctor_tuning import AXES
+from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
 from magcal_ros.core.doctor.health import (
     Finding,
     ok_or_warning,
@@ -152,7 +152,7 @@ class PossibleAxes:
     def dip_known(self) -> bool:
         """Whether the reference inclination distinguishes axes from their opposites."""
         dip = self.knowledge.reference.inclination
-        return not dip.is_unknown and abs(dip.value) > CLEAR * AXES.dip_sigma
+        return not dip.is_unknown and abs(dip.value) > CLEAR * WIDE.soft_iron
 
     @property
     def likeliest(self) -> FloatArray:
@@ -264,7 +264,7 @@ def diagnose_axes(
     fewest = [k for k in left if len(rank[k]) == least]
     # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = hypotheses.gyro, hypotheses.field
-    fewest.sort(key=lambda k: (misfit[k] > AXES.likely, rank_of(gyro[k]), rank_of(field[k])))
+    fewest.sort(key=lambda k: (misfit[k] > AXES.doubtful, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(hypotheses, fewest, rank, knowledge)

@@ -28,7 +28,7 @@ from magcal_ros.core.doctor.alignment import (
     align,
 )
 from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
-from magcal_ros.core.doctor.segment import Segment, segment_of_log
+from magcal_ros.core.doctor.prepared import Segment, segment_of_log
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import signed_permutations, skews
@@ -132,8 +132,8 @@ class AxesHypotheses:
         covariance = np.where(is_known[:, None, None], self.covariance[:, FIELD, FIELD], 0.0)
         variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
         # The gyro's drift looks like a small tilt, which does not determine the field.
-        variance += (AXES.attitude_error / max(self.least_tilt, 1e-6)) ** 2
-        variance += AXES.dip_sigma**2 + dip.sigma**2
+        variance += (WIDE.field_floor / max(self.least_tilt, 1e-6)) ** 2
+        variance += WIDE.soft_iron**2 + dip.sigma**2
         measured = -np.arcsin(np.clip(along, -1.0, 1.0))
         return np.where(is_known, (measured - dip.value) ** 2 / variance, 0.0)
 
@@ -166,7 +166,7 @@ def compare_axes(
     if part is None or most_turned(part) < AXES.least_turn:
         return None
     senses = _fit_to_the_field(part, proper)
-    for _ in range(AXES.looks):
+    for _ in range(AXES.rounds):
         more = float(senses.parameters[senses.best, LAG])
         nearer = segment_of_log(log, lag + more) if abs(more) > AXES.settled else None
         if nearer is None:
@@ -262,10 +262,7 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     count, n = len(axes), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
     drift = -middle * (seconds[last] - seconds[first])[:, None, None]
-    rate = segment.rate @ axes
-    turns = skews(rate)
-    # The acceleration in g at a lever arm of one metre.
-    swung = (skews(np.gradient(rate, seconds, axis=1)) + turns @ turns) / STANDARD_GRAVITY
+    swung = per_metre(segment.rate @ axes, seconds) / STANDARD_GRAVITY
     swung = -middle @ middle @ (swung[:, last] - swung[:, first])
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
@@ -282,10 +279,16 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, AXES.attitude_error)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, WIDE.field_floor)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, AXES.attitude_error))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, WIDE.field_floor))
+
+
+def per_metre(rate: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the accelerations (…, n, 3, 3) at a lever arm of one metre along each axis, m/s²."""
+    turns = skews(rate)
+    return np.asarray(skews(np.gradient(rate, time, axis=-2)) + turns @ turns)
 
 
 def turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:
@@ -294,3 +297,70 @@ def turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatAr
     last = np.searchsorted(seconds, seconds + span)
     first = np.flatnonzero(last < len(seconds))
     return first, last[first], angle[last[first]] - angle[first]
+
+
+UNIT_ERRORS: tuple[tuple[float, str], ...] = (
+    (math.radians(1.0), "degrees/s published as rad/s"),
+    (math.degrees(1.0), "rad/s converted from degrees twice"),
+    (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
+    (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
+)
+"""Factors to rad/s for known errors of the unit, and their causes."""
+FEWEST_SPANS = 3  # smallest number of spans that determine the unit
+
+
+def rate_factors(segment: Segment) -> tuple[float, ...] | None:
+    """Return which of the known factors may convert rates to rad/s; None if they are rad/s.
+
+    In a short time, the field vector moves by its size times the angle. The size is that of the
+    field's changing part, which is right within a factor of two from a quarter turn on. There is no
+    factor if neither gyro nor field determines the unit.
+    """
+
+    def is_near(ratio: float) -> bool:
+        return 1.0 / AXES.unit_ratio < ratio < AXES.unit_ratio
+
+    for rough in (_by_the_gyro(segment), _by_the_field(segment)):
+        if rough is None:
+            continue
+        if is_near(rough):
+            return None
+        if near := tuple(f for f, _ in UNIT_ERRORS if is_near(rough / f)):
+            return near
+    return ()
+
+
+def _by_the_gyro(segment: Segment) -> float | None:
+    """Return the field's movement over the gyro's angle, in the spans with the largest angles.
+
+    The movement by magnetic objects along a road is measured in spans without a turn.
+    """
+    change, turned = _changes(segment, AXES.span)
+    most = float(np.max(turned, initial=0.0))
+    quick, slow = turned > 0.5 * most, turned < 0.1 * most
+    if quick.sum() < FEWEST_SPANS:
+        return None
+    street = float(np.median(change[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
+    by_turning = float(np.median(change[quick])) ** 2 - street**2
+    return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
+
+
+def _by_the_field(segment: Segment) -> float | None:
+    """Return this ratio in the spans with the largest movements of the field; None without any.
+
+    A field that varies from place to place moves farther than by the turn: the unit is not wrong.
+    """
+    for span in AXES.span * 2.0 ** np.arange(4):
+        change, turned = _changes(segment, span)
+        moved = change > max(AXES.worst_fit, 0.5 * float(np.max(change, initial=0.0)))
+        if moved.sum() >= FEWEST_SPANS:
+            usual = float(np.median(turned[moved]))
+            return float(np.median(change[moved])) / max(usual, 1e-12)
+    return None
+
+
+def _changes(segment: Segment, span: float) -> tuple[FloatArray, FloatArray]:
+    """Return the change of the field, over its size, and the gyro's angle in spans of seconds."""
+    first, last, turn = turns_in(segment, span)
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+    return change, np.linalg.norm(turn, axis=1)

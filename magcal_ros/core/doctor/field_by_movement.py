@@ -11,7 +11,7 @@ from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_l
 from magcal_ros.core.doctor.alignment import FIELD, IRON, UP
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
-from magcal_ros.core.doctor.doctor_tuning import ERRORS
+from magcal_ros.core.doctor.doctor_tuning import ERRORS, is_vague
 from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
@@ -42,9 +42,9 @@ OR_LATE = (
 )
 
 
-def is_vague(strength: Belief) -> bool:
+def is_vague_strength(strength: Belief) -> bool:
     """Return whether the movement does not determine this strength."""
-    return not strength.sigma <= ERRORS.vague_strength * strength.value
+    return is_vague(strength.sigma, ERRORS.strength * strength.value)
 
 
 def strength_of(hypothesis: AxesHypothesis) -> Belief:
@@ -101,9 +101,9 @@ def _unit_by_strength(
 ) -> list[Finding]:
     """Return the lines, with the unit identified by the strength if the movement determines it."""
     strength = strength_of(hypothesis)
-    if is_vague(strength):
+    if is_vague_strength(strength):
         strength = strength_of_level(hypothesis, knowledge)
-    hint = "" if is_vague(strength) else unit_by_strength(strength.value, strength.sigma)
+    hint = "" if is_vague_strength(strength) else unit_by_strength(strength.value, strength.sigma)
     if not hint:
         return lines
     size = f"{strength.value:.3g} ± {strength.sigma:.2g} T as published, without hard iron"
@@ -121,7 +121,7 @@ def reference_finding(
     up = hypothesis.state[UP] * (-1.0 if up_is_down else 1.0)
     whole = strength_of(hypothesis)
     strength, off = whole.value, whole.sigma
-    if is_vague(whole):
+    if is_vague_strength(whole):
         upwards = None if up_is_down is not False else _points_up(hypothesis, knowledge)
         return upwards or undetermined("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))

@@ -7,13 +7,15 @@ is assumed to be right.
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 
 import numpy as np
 
-from magcal_ros.core.doctor.doctor_tuning import GUIDE
+from magcal_ros.core.doctor.doctor_tuning import AXES, GUIDE, HEALTH
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import angle_between
+from magcal_ros.core.samples.rest import USUAL_LEVEL
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
@@ -31,6 +33,12 @@ ASKED = {
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """The steps in words for the user."""
+
+BLOCKS = 4
+"""Averages in the shortest rest."""
+ANGLE = 2.0 * AXES.least_turn
+SWING = 2.0 * USUAL_LEVEL * math.sin(0.5 * ANGLE)
+"""Turn by the gyro that is enough, radians, and the field's change by it, over the field's size."""
 
 
 class Guide:
@@ -84,7 +92,7 @@ class Guide:
     def pass_time(self, now: float) -> bool:
         """Advance the time to `now`; return whether a step was done or given up."""
         step = self.current
-        if step is None or now - self._block_began < GUIDE.block:
+        if step is None or now - self._block_began < GUIDE.rest / BLOCKS:
             return False
         self._close_block(now)
         is_detected = self._is_detected(step)
@@ -109,43 +117,36 @@ class Guide:
         self._block_began = now
 
     def _is_detected(self, step: GuideStep) -> bool:
-        if step is GuideStep.STAND:
+        if self._resting is None:
             return self._stands(GUIDE.stand)
-        assert self._resting is not None
         (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
-        if step is GuideStep.TURN:
-            swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
-            self._done_moving |= abs(self._angle) > GUIDE.angle or swing > GUIDE.swing
-        else:
+        if step is GuideStep.LIFT:
             self._done_moving |= angle_between(force, resting) > GUIDE.lift
-        if not (self._done_moving and self._stands(GUIDE.rest)):
-            return False
-        return step is not GuideStep.TURN or self._has_stopped()
+            return self._done_moving and self._stands(GUIDE.rest)
+        swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
+        self._done_moving |= abs(self._angle) > ANGLE or swing > SWING
+        return self._done_moving and self._stands(GUIDE.rest) and self._has_stopped()
 
     def _has_stopped(self) -> bool:
         """Return whether the turn has ended, by the sensor that measured it, in any unit."""
-        # Within `rest` seconds, a slow turn changes the field less than `still` allows.
+        # In a short time, a slow turn changes the field less than `still` allows.
         assert self._resting is not None
         _, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
-        by_gyro = abs(self._angle) > GUIDE.angle
+        by_gyro = abs(self._angle) > ANGLE
         moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
-        count = round(GUIDE.rest / GUIDE.block)
-        return bool(np.nanmax(pace[-count:]) < GUIDE.stopped * np.nanmax(pace))
+        return bool(np.nanmax(pace[-BLOCKS:]) < HEALTH.moving * np.nanmax(pace))
 
     def _stands(self, seconds: float) -> bool:
         """Return whether gravity and field have not changed during the last `seconds`."""
-        count = max(2, round(seconds / GUIDE.block))
+        count = round(BLOCKS * seconds / GUIDE.rest)
         if len(self._blocks) < count:
             return False
         last = np.array(self._blocks[-count:])
         force, _, field = last.mean(axis=0)
-        if not np.isfinite([force, field]).all():
-            return False
-        lean, swing = GUIDE.still
         away = np.linalg.norm(last[:, 2] - field, axis=1)
-        is_calm = bool((away < swing * np.linalg.norm(field)).all())
-        return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
+        leans = [angle_between(each, force) for each in last[:, 0]]
+        return bool((away < GUIDE.still * np.linalg.norm(field)).all() and max(leans) < GUIDE.still)
 
     def _end(self, step: GuideStep, is_detected: bool, now: float) -> None:
         self.ended[step] = is_detected

@@ -12,7 +12,7 @@ from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.samples_tuning import COMPLAINTS
+from magcal_ros.core.samples.samples_tuning import COMPLAINTS, STREAMS
 from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
@@ -133,7 +133,7 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     share = float(same[~long].mean()) if not long.all() else 0.0
     chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
     words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
-    too_many = share - chance > HEALTH.repeats and share > 2.0 * chance
+    too_many = share - chance > HEALTH.share and share > 2.0 * chance
     return ok_or_warning("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
@@ -235,9 +235,9 @@ def stuck_axes(field: FloatArray) -> list[int]:
         return []
     steps = np.array([_step(axis) for axis in others.T])
     # Rounding looks like noise, most on a slow rise, but does not change a constant number.
-    own = white_noise(others) ** 2 - (HEALTH.rounding * steps) ** 2
+    own = white_noise(others) ** 2 - 0.5 * steps**2
     noise = math.sqrt(max(0.0, float(own.min())))
-    if noise < HEALTH.quiet:
+    if noise < STREAMS.smallest:
         return []
     stays = math.erf(float(steps.max()) / (math.sqrt(8.0) * noise)) ** len(field)
     return stuck if stays < HEALTH.by_chance else []
@@ -333,4 +333,4 @@ def _spikes(log: SensorLog) -> list[Finding]:
         "stronger pull-up resistors or a slower clock)"
     )
     evidence = f"{share:.0%} of the samples deviate from their neighbours"
-    return [ok_or_warning("spikes", "field: spikes", evidence, words * (share > HEALTH.spikes))]
+    return [ok_or_warning("spikes", "field: spikes", evidence, words * (share > HEALTH.share))]

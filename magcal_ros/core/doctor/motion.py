@@ -15,13 +15,13 @@ from magcal_ros.core.doctor.axes_diagnosis import (
     diagnose_axes,
 )
 from magcal_ros.core.doctor.axes_hypotheses import (
+    UNIT_ERRORS,
     AxesHypotheses,
     AxesHypothesis,
     compare_axes,
-    most_turned,
+    rate_factors,
 )
-from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS
-from magcal_ros.core.doctor.gyro_unit import UNIT_ERRORS, rate_factors
+from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS, is_vague
 from magcal_ros.core.doctor.health import (
     Finding,
     dead_axes,
@@ -30,10 +30,8 @@ from magcal_ros.core.doctor.health import (
     undetermined,
     vector_in_words,
 )
-from magcal_ros.core.doctor.latency import force_latency
-from magcal_ros.core.doctor.prepared import CleanLog
-from magcal_ros.core.doctor.segment import segment_of_log
-from magcal_ros.core.doctor.turn_fit import TurnFit
+from magcal_ros.core.doctor.prepared import CleanLog, segment_of_log
+from magcal_ros.core.doctor.turn_fit import TurnFit, force_latency
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
@@ -96,7 +94,7 @@ def compare(
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = segment_of_log(body)
     # The field must change by more than its noise.
-    if part is None or usual_size(np.diff(part.field, axis=0)) >= ERRORS.largest_noise:
+    if part is None or usual_size(np.diff(part.field, axis=0)) >= AXES.worst_fit:
         return _nothing_shown(log, None, turned_left)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
@@ -104,12 +102,10 @@ def compare(
     rest = longest_rest(time, body.field[inside], rates)
     factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
-    beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
-    turns = most_turned(beside) >= AXES.least_turn
-    stands_still = rest is not None and rest.is_certain and not turns
-    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
+    given, factor = _explained(body, factors, knowledge, bias)
     if given is None:
-        return _nothing_shown(log, rest if stands_still else None, turned_left)
+        at_rest = rest if rest is not None and rest.is_certain else None
+        return _nothing_shown(log, at_rest, turned_left)
     body = replace(body, rate=factor * body.rate)
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
@@ -126,7 +122,7 @@ def compare(
     findings = [_unit(factor, factors is None), stands, *diagnosis.findings]
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
     if hypothesis is not None:
-        rest = None if rest is None else rest._replace(rate=factor * rest.rate)
+        rest = None if rest is None else rest.times(factor)
         findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
     return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
 
@@ -134,37 +130,81 @@ def compare(
 def latency_findings(
     prepared: CleanLog, found: MotionResult, turn: TurnFit | None
 ) -> list[Finding]:
-    """Return the findings on the latencies; none unless a hypothesis explains the movement."""
+    """Return the findings on the latencies; none unless a hypothesis explains the movement.
+
+    If those of field and accelerometer are equal, the gyro's stamps are early.
+    """
     if found.hypothesis is None or found.body is None:
         return []
     if prepared.restamped:
         return [undetermined("latency", "field: latency", NO_BURSTS)]
-    late = Belief.unknown() if turn is None else turn.latency
-    return _latencies(found.body, found.hypothesis, late)
+    field = Belief.unknown() if turn is None else turn.latency
+    force = force_latency(found.body, found.hypothesis)
+    field_lag, force_lag = _wrong_by(field, OF_FIELD), _wrong_by(force, ERRORS.lag)
+    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
+        of_field = of_force = (
+            f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
+            "when it measures, and give it the accelerometer's low-pass filter"
+        )
+    else:
+        seconds = f"{abs(field_lag):.3f} s"
+        change = f"add {seconds} to the field's, or subtract it from the IMU's"
+        if field_lag > 0.0:
+            change = f"subtract {seconds} from the field's, or add it to the IMU's"
+        of_field = (
+            f"stamp both sensors when they measure, or correct the stamps in the driver: {change}"
+        )
+        of_force = (
+            f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
+            "both the same low-pass filter, and put values of the same moment into one message"
+        )
+    of_field, of_force = of_field * bool(field_lag), of_force * bool(force_lag)
+    return [
+        _latency("latency", "field", field, OF_FIELD, STARTS, of_field),
+        _latency("force_latency", "accelerometer", force, ERRORS.lag, LEANS, of_force),
+    ]
+
+
+OF_FIELD = 2.0 * AXES.settled  # seconds, see `is_vague`
+
+
+def _wrong_by(latency: Belief, error: float) -> float:
+    """Return a latency in seconds; zero if it is too small or too uncertain to be reported."""
+    is_clear = abs(latency.value) >= max(ERRORS.lag, CLEAR * latency.sigma)
+    return latency.value if is_clear and not is_vague(latency.sigma, error) else 0.0
+
+
+def _latency(
+    key: str, sensor: str, latency: Belief, error: float, shown_by: str, remedy: str
+) -> Finding:
+    if is_vague(latency.sigma, error):
+        return undetermined(key, f"{sensor}: latency", shown_by)
+    lag, off = round(latency.value * 1e3), latency.sigma * 1e3
+    how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
+    return ok_or_warning(key, f"{sensor}: latency", how, remedy)
 
 
 def _explained(
     log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[AxesHypotheses | None, float]:
     """Explain the movement, with a known error of the gyro's unit if only this one fits well."""
-    inclination = knowledge.reference.inclination
-    slips = [f for f in factors or () if f != 1.0]
-    ways = [
-        (compare_axes(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips
-    ]
-    slipped = [(float(w.rms.min()), f, w) for w, f in ways if w is not None]
-    found = [each for each in slipped if each[2].confirms_unit]
+
+    def explained(factor: float) -> AxesHypotheses | None:
+        inclination = knowledge.reference.inclination
+        return compare_axes(replace(log, rate=factor * log.rate), inclination, factor * bias)
+
+    slips = [(way, f) for f in factors or () if (way := explained(f)) is not None]
+    found = [each for each in slips if each[0].confirms_unit]
     # Rates in a wrong unit take longest to fit as they are, so the known errors come first.
-    if not found or 1.0 in (factors or ()):
-        given = compare_axes(log, inclination, bias)
-        if not found and given is not None and 1.0 not in (factors or (1.0,)):
-            # Among magnetic objects, as in a street, no unit fits the field well.
-            found = [each for each in slipped if each[2].is_better(given)]
-        # After too small a turn, a unit that may be right is kept.
-        if not found or given is None or given.fits_well:
+    if not found:
+        given = explained(1.0)
+        # After too small a turn, a unit that may be right is kept. Among magnetic objects, as in a
+        # street, no unit fits the field well.
+        if given is not None and not given.fits_well:
+            found = [each for each in slips if each[0].is_better(given)]
+        if not found:
             return given, 1.0
-    _, factor, hypothesis = min(found, key=lambda one: one[0])
-    return hypothesis, factor
+    return min(found, key=lambda one: float(one[0].rms.min()))
 
 
 def _nothing_shown(
@@ -175,7 +215,7 @@ def _nothing_shown(
     bias = undetermined("gyro_bias", "gyro: bias", why)
     findings = (
         undetermined("axes", "axes", why),
-        bias if rest is None else _bias(rest.rate, ERRORS.at_rest, 1.0),
+        bias if rest is None else _bias(rest.rate, rest.sigma, 1.0),
         undetermined("rate_scale", "gyro: scale", why),
         undetermined("latency", "field: latency", why),
         check_gravity_direction(log, None, None, turned_left)[0],
@@ -208,20 +248,21 @@ def _gyro_errors(
     # In the gyro's own axes and scale, so that the driver can subtract it.
     bias = hypothesis.gyro @ state[BIAS] / (1.0 + state[SCALE])
     off = math.sqrt(float((hypothesis.gyro**2 @ sigma[BIAS] ** 2).max()))
-    if rest is not None and rest.is_certain and off > ERRORS.vague[0]:
-        bias, off = rest.rate, ERRORS.at_rest
+    # A vehicle's accelerations look like a bias while it turns, and a slow turn like a rest.
+    is_rest = rest is not None and (
+        rest.is_certain or float(np.linalg.norm(rest.rate - bias)) < ERRORS.bias
+    )
+    if rest is not None and is_rest:
+        bias, off = rest.rate, rest.sigma
     line = _bias(bias, off, factor)
-    # A vehicle's accelerations look like a bias while it turns: a rest must confirm it.
-    most = max(ERRORS.bias, ERRORS.confirmed * float(np.linalg.norm(bias)))
-    is_confirmed = rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
-    if off > ERRORS.vague[0] or (line.is_wrong and not is_confirmed):
+    if is_vague(off, ERRORS.bias) or (line.is_wrong and not is_rest):
         line = hidden
     return line, _scale(hypothesis, factor, restamped)
 
 
 def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Finding:
     scale, off = float(hypothesis.state[SCALE]), float(hypothesis.sigma[SCALE])
-    if restamped or off > ERRORS.vague[1]:
+    if restamped or is_vague(off, ERRORS.scale):
         why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
         return undetermined("rate_scale", "gyro: scale", why)
     too_large = abs(scale) > max(ERRORS.scale, CLEAR * off)
@@ -244,48 +285,3 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
     )
     too_large = float(np.linalg.norm(bias)) > max(ERRORS.bias, CLEAR * off)
     return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)
-
-
-def _latencies(log: SensorLog, hypothesis: AxesHypothesis, late: Belief) -> list[Finding]:
-    """Return the findings on both latencies; if they are equal, the gyro's stamps are early."""
-    field, field_lag = _shown(late, ERRORS.vague[2])
-    force, force_lag = _shown(force_latency(log, hypothesis), ERRORS.vague[3])
-    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
-        of_field = of_force = (
-            f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
-            "when it measures, and give it the accelerometer's low-pass filter"
-        )
-    else:
-        seconds = f"{abs(field_lag):.3f} s"
-        change = f"add {seconds} to the field's, or subtract it from the IMU's"
-        if field_lag > 0.0:
-            change = f"subtract {seconds} from the field's, or add it to the IMU's"
-        of_field = (
-            f"stamp both sensors when they measure, or correct the stamps in the driver: {change}"
-        )
-        of_force = (
-            f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
-            "both the same low-pass filter, and put values of the same moment into one message"
-        )
-    return [
-        _latency("latency", "field: latency", field, STARTS, of_field * bool(field_lag)),
-        _latency(
-            "force_latency", "accelerometer: latency", force, LEANS, of_force * bool(force_lag)
-        ),
-    ]
-
-
-def _shown(found: Belief, vague: float) -> tuple[Belief | None, float]:
-    """Return a latency, None if too uncertain, and its value in seconds, zero if too small."""
-    if not found.sigma < vague:
-        return None, 0.0
-    is_small = abs(found.value) < max(ERRORS.lag, CLEAR * found.sigma)
-    return found, 0.0 if is_small else found.value
-
-
-def _latency(key: str, name: str, latency: Belief | None, shown_by: str, remedy: str) -> Finding:
-    if latency is None:
-        return undetermined(key, name, shown_by)
-    lag, off = round(latency.value * 1e3), latency.sigma * 1e3
-    how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
-    return ok_or_warning(key, name, how, remedy)

@@ -1,4 +1,4 @@
-"""Prepare a log for the comparison of its sensors."""
+"""Prepare a log for the comparison of its sensors, and average the part with the most turns."""
 
 from __future__ import annotations
 
@@ -9,10 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor import health
-from magcal_ros.core.doctor.doctor_tuning import FINE, HEALTH
+from magcal_ros.core.doctor.doctor_tuning import HEALTH, TURN, WIDE
 from magcal_ros.core.doctor.health import Finding
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
+from magcal_ros.core.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    accumulated,
+    block_means,
+    integral,
+    interpolated,
+    runs,
+)
+from magcal_ros.core.geometry.attitude import usual_size
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
+from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
 from magcal_ros.core.samples.units import gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
@@ -149,12 +160,12 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
-        if inside.any() and float((size[inside] > FINE.turns).mean()) > 0.2:
+        if inside.any() and float((size[inside] > TURN.turns).mean()) > HEALTH.moving:
             return True
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
-    least = HEALTH.moving_field * float(np.ptp(log.field, axis=0).max())
+    least = HEALTH.moving * float(np.ptp(log.field, axis=0).max())
     return bool(inside.any() and np.ptp(log.field[inside], axis=0).max() > least)
 
 
@@ -166,12 +177,9 @@ ONE_CLOCK = (
 
 def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     """Return the log with the field's stamps on the IMU's clock, and a finding if they changed."""
-    starts = log.imu_time[0], log.field_time[0]
-    ends = log.imu_time[-1], log.field_time[-1]
-    shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    overlap = min(ends) - max(starts) > HEALTH.overlap * shorter
+    (start, end), (first, last) = log.imu_time[[0, -1]], log.field_time[[0, -1]]
     # Streams of one recording begin at about the same time.
-    off = 0.0 if overlap else float(starts[1] - starts[0])
+    off = 0.0 if start < last and first < end else float(first - start)
     off += _clock_shift(replace(log, field_time=log.field_time - off))
     if not off:
         return log, ()
@@ -185,9 +193,11 @@ def _clock_shift(log: SensorLog) -> float:
     """Return how much later the field's stamps are than the gyro's, s; zero for a mere latency."""
     first = min(log.imu_time[0], log.field_time[0])
     last = max(log.imu_time[-1], log.field_time[-1])
-    if not log.has_gyro or last - first > HEALTH.longest:
+    steps = (last - first) / RECORDER.row
+    # A wrong stamp far away would make most steps empty.
+    if not log.has_gyro or steps > len(log.imu_time) + len(log.field_time):
         return 0.0
-    edges = np.arange(first, last + HEALTH.pace_step, HEALTH.pace_step)
+    edges = np.arange(first, last + RECORDER.row, RECORDER.row)
     # A frozen sensor does not show when the robot turned.
     fresh = ~health.in_long_runs(health.repeats(log.rate))
     gyro = np.linalg.norm(means_between(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
@@ -203,8 +213,106 @@ def _clock_shift(log: SensorLog) -> float:
         return 0.0
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
-    lag = np.fft.fftfreq(size, 1.0 / size) * HEALTH.pace_step
-    near = float(alike[np.abs(lag) <= HEALTH.latency].max())
+    lag = np.fft.fftfreq(size, 1.0 / size) * RECORDER.row
+    near = max(float(alike[np.abs(lag) <= CLEAR * WIDE.lag].max()), 0.0)
     best = int(np.argmax(alike))
-    plain = alike[best] > max(HEALTH.alike, near + HEALTH.better)
-    return float(lag[best]) if plain else 0.0
+    return float(lag[best]) if alike[best] ** 2 - near**2 > HEALTH.alike else 0.0
+
+
+LONGEST = 60.0  # seconds of a log that are used; the field of a longer drive is not constant
+WIDEST_BLOCK = math.radians(4.0)  # radians of turn that are averaged
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Averaged samples with the turns between them."""
+
+    field: FloatArray  # over `size`, shape (n, 3)
+    up: FloatArray  # specific force over its usual size. Shape (n, 3).
+    turn: FloatArray
+    """The gyro's rate integrated from each sample to the next, radians. Shape (n - 1, 3)."""
+    coning: FloatArray
+    """Second order of the rotation vectors (coning). Shape (n - 1, 3)."""
+    seconds: FloatArray  # shape (n - 1,)
+    rate: FloatArray  # the gyro's mean rate, rad/s. Shape (n, 3).
+    size: float  # of the field's changing part, tesla
+    time: FloatArray  # stamps of the IMU to which the samples belong, seconds. Shape (n,).
+
+
+def segment_of_log(
+    log: SensorLog, lag: float = 0.0, fewest: int = 120, most: int = 240
+) -> Segment | None:
+    """Average a log with a gyro, finite values and increasing stamps; None if it is too short.
+
+    `lag`, the latency of the field in seconds, is subtracted from the field's stamps. The result
+    has `fewest` to `most` averages.
+    """
+    field_time = log.field_time - lag
+    span = liveliest(log, field_time)
+    if span is None:
+        return None
+    imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
+    time, rate = log.imu_time[imu], log.rate[imu]
+    turned = integral(time, rate)
+    usual = float(np.linalg.norm(np.diff(turned, axis=0), axis=1).sum())
+    count = int(np.clip(usual / WIDEST_BLOCK, fewest, most))
+    inside = (field_time >= span[0]) & (field_time <= span[1])
+    stamps, field = field_time[inside], log.field[inside]
+    block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
+    _, first = np.unique(block, return_index=True)
+    if len(first) < 20:
+        return None
+    moment, field = block_means(stamps, first), block_means(field, first)
+    width = (span[1] - span[0]) / count
+    force = _mean_around(time, integral(time, log.force[imu]), moment, width)
+    angle, bend = (
+        interpolated(moment, time, path)
+        for path in (turned, integral(time, np.cross(turned, rate)))
+    )
+    step = np.diff(angle, axis=0)
+    # The size of the field's changing part.
+    swing = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
+    size = max(float(np.linalg.norm(swing)) / 2.0, 1e-12)
+    return Segment(
+        field / size,
+        force / max(usual_size(force), 1e-12),
+        step,
+        0.5 * (np.diff(bend, axis=0) - np.cross(angle[:-1], step)),
+        np.diff(moment),
+        _mean_around(time, turned, moment, width),
+        size,
+        moment,
+    )
+
+
+def liveliest(log: SensorLog, field_time: FloatArray) -> tuple[float, float] | None:
+    """Return begin and end of the time in which the robot turns most, without gaps of the gyro."""
+    if min(len(log.imu_time), len(field_time)) < 20:
+        return None
+    breaks = np.flatnonzero(np.diff(log.imu_time) > STREAMS.longest_gyro_step) + 1
+    best, most = None, 0.0
+    for rows in np.split(np.arange(len(log.imu_time)), breaks):
+        time = log.imu_time[rows]
+        low, high = max(time[0], field_time[0]), min(time[-1], field_time[-1])
+        if len(rows) < 20 or high - low < 1.0:
+            continue
+        size = np.linalg.norm(log.rate[rows], axis=1)
+        done = integral(time, size)
+        begin = low + np.arange(0.0, max(high - LONGEST - low, 0.0) + 0.5, 1.0)
+        gained = np.interp(np.minimum(begin + LONGEST, high), time, done)
+        gained -= np.interp(begin, time, done)
+        k = int(np.argmax(gained))
+        if gained[k] > most:
+            best = (float(begin[k]), float(min(begin[k] + LONGEST, high)))
+            most = float(gained[k])
+    return best
+
+
+def _mean_around(
+    time: FloatArray, path: FloatArray, moment: FloatArray, width: float
+) -> FloatArray:
+    """Return means over `width` seconds around each moment, from an integral."""
+    low = np.maximum(moment - 0.5 * width, time[0])
+    high = np.minimum(moment + 0.5 * width, time[-1])
+    gained = interpolated(high, time, path) - interpolated(low, time, path)
+    return np.asarray(gained / (high - low)[:, None])

@@ -12,7 +12,7 @@ from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import Finding, ok_or_warning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS
 from magcal_ros.core.samples.window import SensorLog
 
@@ -173,7 +173,7 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     level = left * np.linalg.inv(known)[:2, :2]
     across = np.array([-found[1], found[0]]) / float(found[:2] @ found[:2])
     sigma = math.sqrt(float(across @ level @ across))
-    if not sigma < ERRORS.vague_yaw:
+    if not sigma * CLEAR < ERRORS.near:
         return []
     off = math.remainder(math.atan2(found[1], found[0]) - 0.5 * math.pi, math.tau)
     declination = knowledge.reference.declination

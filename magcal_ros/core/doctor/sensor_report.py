@@ -5,6 +5,7 @@ A turn is refused with the same remedies if a fault of the sensors makes it unus
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,10 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, parameter_line
-from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.doctor.alignment import FIELD, IRON, SOFT
+from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, mount_of, parameter_line
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, rate_factors
+from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.field_by_movement import with_field
-from magcal_ros.core.doctor.gyro_unit import rate_factors
 from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
     Finding,
@@ -24,21 +28,37 @@ from magcal_ros.core.doctor.health import (
     dead_axes,
     field_findings,
     noise_findings,
+    ok_or_warning,
+    severe_finding,
     stuck_axes,
+    undetermined,
     up_axis,
 )
 from magcal_ros.core.doctor.motion import MotionResult, compare, latency_findings
-from magcal_ros.core.doctor.prepared import CleanLog, prepare
+from magcal_ros.core.doctor.prepared import CleanLog, prepare, segment_of_log
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
-from magcal_ros.core.doctor.segment import segment_of_log
 from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
 from magcal_ros.core.samples.window import SensorLog, Window
 
+YAW_BY_COURSE = "axes: yaw by course"
+DRIVE_FARTHER = "drive farther: straight, in several directions, and faster than walking pace"
+
 UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
+
+
+@dataclass(frozen=True, eq=False)
+class AxesInUse:
+    """The magnetometer's axes by the chosen hypothesis, and a compass with these axes."""
+
+    axes: FloatArray  # rows in body axes, after the known mounting. Shape (3, 3).
+    pose: FloatArray  # the known mounting. Shape (3, 3).
+    compass: Calibration  # good enough to be compared with a course
 
 
 @dataclass(frozen=True)
@@ -139,6 +159,78 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Sensor
     return replace(report, findings=tuple(kept))
 
 
+def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse | None:
+    """Return axes and compass of a hypothesis in rad/s and body axes; None without a compass."""
+    state, size = hypothesis.state, hypothesis.part.size
+    if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
+        return None
+    level = float(np.linalg.norm(np.cross(state[FIELD], hypothesis.part.up[0])))
+    if not float(hypothesis.sigma[IRON].max()) < ERRORS.near / CLEAR * level:
+        return None
+    to_axes = hypothesis.field.T @ knowledge.mounting.to_body
+    soft = np.eye(3) + state[SOFT].reshape(3, 3)
+    hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
+    compass = Calibration(
+        Correction(np.linalg.inv(soft) @ to_axes, hard_iron),
+        1e-4 * np.eye(PARAMETERS),
+        1e-6,
+        math.radians(1.0),
+        size * float(np.linalg.norm(state[FIELD])),
+        0.0,
+        Evidence("doctor", "", "", ""),
+    )
+    return AxesInUse(hypothesis.field, knowledge.mounting.pose, compass)
+
+
+def course_findings(
+    used: AxesInUse, gap: Belief, imu_yaw: Belief
+) -> tuple[list[Finding], tuple[int, int, int] | None]:
+    """Return the findings, and the mounting that corrects a wrong yaw.
+
+    `gap` is the yaw of the compass in `used` minus course and declination, and minus the IMU's yaw
+    if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from the vehicle's
+    acceleration. Both are in radians.
+    """
+    lines = []
+    knows_imu = CLEAR * imu_yaw.sigma < ERRORS.near
+    if knows_imu:
+        lines.append(_imu_yaw(imu_yaw))
+    if not CLEAR * gap.sigma < ERRORS.near:
+        return [*lines, undetermined("field_yaw", YAW_BY_COURSE, DRIVE_FARTHER)], None
+    quarters = round(gap.value / (0.5 * math.pi))
+    evidence = (
+        f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
+        "course"
+    )
+    if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > ERRORS.near:
+        return [*lines, ok_or_warning("field_yaw", YAW_BY_COURSE, evidence)], None
+    axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
+    mount = mount_of(axes, used.pose)
+    turned = f"the magnetometer's axes are {axes_in_words(axes)}: set `{parameter_line(mount)}`"
+    if knows_imu:
+        return [*lines, severe_finding("field_yaw", YAW_BY_COURSE, evidence, turned)], mount
+    either = (
+        f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
+        f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
+        "speed too, and accelerate and brake"
+    )
+    return [*lines, severe_finding("field_yaw", YAW_BY_COURSE, evidence, either)], None
+
+
+def _imu_yaw(measured: Belief) -> Finding:
+    degrees = math.degrees(measured.value)
+    evidence = (
+        f"x points {abs(degrees):.0f} ± {math.degrees(measured.sigma):.0f}° to the "
+        f"{'left' if degrees >= 0.0 else 'right'} of the front"
+    )
+    remedy = (
+        f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
+        f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
+    )
+    is_off = abs(measured.value) > ERRORS.near
+    return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)
+
+
 AXES_KEYS = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
 """Keys of the findings that explain why field, gyro and gravity disagree."""
 
@@ -185,7 +277,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "leave the columns out) to be calibrated without a gyro",
         )
     segment = segment_of_log(SensorLog.of_window(window))
-    if segment is not None and set(rate_factors(segment) or ()) - {1.0}:
+    if segment is not None and rate_factors(segment):
         return _refusal_by_comparison(window, knowledge, ("rate_unit",))
     return None
 

@@ -1,23 +1,33 @@
-"""Latency of the field, field of the motors, and whether a robot drove, by the smoother.
+"""Latencies, the field of the motors, and whether a robot drove, by fits of a turn.
 
-Most robots have no latency, and the smoother's prior says so. It is removed from the latency's
-posterior, so that a latency is reported only if the samples determine it.
+The field's latency is an unknown of the smoother. Most robots have none, and its prior says so. It
+is removed from the posterior, so that a latency is reported only if the samples determine it.
+
+The accelerometer's latency is that of gravity, which is constant in the world, in the fit of the
+axes (`AlignmentFit`). The accelerometer's lever arm is fitted with it.
 """
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.alignment import LAG
-from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
-from magcal_ros.core.doctor.doctor_tuning import FINE
-from magcal_ros.core.doctor.segment import liveliest
+from magcal_ros.core.doctor.alignment import (
+    LAG,
+    PARAMETERS,
+    START_NOISE,
+    AlignmentFit,
+    Linearisation,
+    inefficiency,
+)
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, per_metre
+from magcal_ros.core.doctor.doctor_tuning import AXES, OF_FORCE, TURN, WIDE
+from magcal_ros.core.doctor.prepared import liveliest, segment_of_log
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.window import SensorLog, Steps, Window
@@ -47,7 +57,7 @@ def fit_turn(
     """
     lag = float(hypothesis.state[LAG])
     found: list[tuple[float, Smoothed]] = []
-    for each in (0.0, lag) if abs(lag) > FINE.late else (0.0,):
+    for each in (0.0, lag) if abs(lag) > AXES.settled else (0.0,):
         window = _window(log, hypothesis, each, up_is_down)
         if window is None:
             continue
@@ -98,13 +108,13 @@ def _latency(found: Smoothed, lag: float) -> Belief:
     own = both - prior**-2.0
     if own <= 0.0:
         return Belief.unknown()
-    return Belief(lag + mean * both / own, math.hypot(own**-0.5, FINE.least))
+    return Belief(lag + mean * both / own, math.hypot(own**-0.5, TURN.least))
 
 
 def _motors(found: Smoothed) -> tuple[FloatArray | None, float]:
     """Return the mean field of the motors in the turn beyond that at rest, and its sigma, tesla."""
     fit, nodes = found.fit, found.nodes
-    still, turns = fit.point.course.still, np.abs(nodes.rate[:, 2]) > FINE.turns
+    still, turns = fit.point.course.still, np.abs(nodes.rate[:, 2]) > TURN.turns
     if not (still.any() and turns.any()):
         return None, math.inf
     by = np.zeros((3, len(fit.state.shared)))
@@ -125,9 +135,61 @@ def _drove(found: Smoothed) -> bool:
     if sum(found.weights.get(kind, 0.0) for kind in DRIVES) > 0.5:
         return True
     rate, course, shared = found.nodes.rate[:, 2], found.fit.point.course, found.fit.state.shared
-    turns = np.abs(rate) > FINE.turns
+    turns = np.abs(rate) > TURN.turns
     if not turns.any():
         return False
     by_shift = shared[AT["force_moving"]] / np.median(np.abs(rate[turns])) ** 2
     radius = course.axes[:, :2].T @ (by_shift - shared[AT["lever_arm"]])
-    return bool(np.linalg.norm(radius) > FINE.radius)
+    return bool(np.linalg.norm(radius) > TURN.radius)
+
+
+def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
+    """Return the accelerometer's latency by a log in rad/s; only a changing tilt shows it."""
+    found, lag, axes = Belief.unknown(), 0.0, (np.eye(3)[None], hypothesis.gyro[None])
+    gravity = replace(log, field_time=log.imu_time, field=log.force)
+    for _ in range(AXES.rounds):
+        part = segment_of_log(gravity, lag, TURN.most, TURN.most)
+        if part is None:
+            break
+        fit = AlignmentFit(part, *axes, with_up=False, priors=OF_FORCE)
+        at = fit.descend(fit.linearised(fit.start()), START_NOISE, AXES.rounds)
+        found = _force_latency_by(fit, at, lag)
+        if abs(found.value - lag) < AXES.settled:
+            break
+        lag = found.value
+    return found
+
+
+def _force_latency_by(fit: AlignmentFit, at: Linearisation, lag: float) -> Belief:
+    """Return the latency by a fit to single samples, if `lag` is already subtracted."""
+    for _ in range(2):
+        at = fit.descend(at, fit.noise(at, 0), AXES.rounds)
+    residual, nu = at.residual[0, 0], WIDE.freedom
+    arm = AXES.lever * per_metre(fit.rate[0], fit.segment.time) / fit.segment.size
+    design = np.concatenate([at.jacobian[0, 0], arm], axis=2)
+    prior = np.eye(design.shape[2])
+    prior[:PARAMETERS, :PARAMETERS] = fit.prior
+    start = np.append(at.state[0], np.zeros(3))
+    left = residual
+    for _ in range(AXES.rounds):
+        variance = _noise_around(left, fit.segment.time)
+        weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
+        weight /= inefficiency(left / np.sqrt(variance)[:, None])
+        root = np.sqrt(weight)[:, None]
+        # The product of an array with itself takes half the time of one with another array.
+        rows = (root[:, None] * design).reshape(-1, design.shape[2])
+        information = rows.T @ rows + prior
+        step = np.linalg.solve(information, rows.T @ (root * residual).ravel() - prior @ start)
+        left = residual - design @ step
+    variance_of_lag = float(np.linalg.inv(information)[LAG, LAG])
+    off = math.hypot(math.sqrt(variance_of_lag), TURN.least)
+    return Belief(lag + float(start[LAG] + step[LAG]), off)
+
+
+def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the local variance per axis, shape (n,): movement adds vibration."""
+    power = np.sum(left**2, axis=1)
+    usual = float(np.median(power)) + 1e-12
+    rows = 1 + int(AXES.span / max(float(np.median(np.diff(time))), 1e-4))
+    calm = running_mean(np.minimum(power, 20.0 * usual), rows)
+    return np.asarray(np.maximum(calm, 0.3 * usual) / 3.0)

@@ -30,6 +30,7 @@ FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
 ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
 """Columns of samples in rows; the first column is the stamp. `SPAN` is the `ImuSpan` since the
 previous row, NaN if unknown; `ANGLE` and `INTERVALS` are parts of it. `SPEED` is NaN if unknown."""
+USUAL_LEVEL = 0.3  # usual level field over the raw field, with inclination and hard iron
 BIAS_CHANGE = 0.03
 """Relative change of a bias from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
@@ -50,7 +51,12 @@ class LongestRest(NamedTuple):
     """The longest rest."""
 
     rate: FloatArray  # mean rate of the gyro, rad/s. Shape (3,).
+    sigma: float  # of the mean, per axis, rad/s
     is_certain: bool  # whether a turn at this rate would have changed the field, which was constant
+
+    def times(self, factor: float) -> LongestRest:
+        """Return the rest with rates in another unit."""
+        return self._replace(rate=factor * self.rate, sigma=factor * self.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,15 +166,16 @@ def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Longe
     """Return the longest rest; None if there was none. Parameters as for `rests_around`."""
     if not len(time) or time[-1] - time[0] < BIAS_AT_REST.block * (BIAS_AT_REST.at_least + 1):
         return None
-    # At rest the field shows no circle: the radius is assumed, as a usual level field.
-    radius = 0.3 * usual_size(field)
-    found = _steady(field, rate, _split(time), radius)
+    # At rest the field shows no circle: its radius is assumed.
+    found = _steady(field, rate, _split(time), USUAL_LEVEL * usual_size(field))
     if not found:
         return None
     longest = max(found, key=lambda each: each.end - each.first)
     # From block to block, a slow turn may look like a rest.
     is_turn = longest.shows and not longest.rested
-    return None if is_turn else LongestRest(longest.rates.mean(axis=0), longest.shows)
+    rates = longest.rates
+    sigma = math.sqrt(float(rates.var(axis=0, ddof=1).mean()) / len(rates))
+    return None if is_turn else LongestRest(rates.mean(axis=0), sigma, longest.shows)
 
 
 def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
