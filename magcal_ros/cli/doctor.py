@@ -90,8 +90,8 @@ class DoctorInput:
         # A complaint that a line of the report contains already is left out.
         more = [f for f in self.more if not any(words in f.evidence for words in given)]
         report = report.with_more(more)
-        if self.travel and report.used is not None:
-            course = recorded_course(report.used.compass, self.samples, self.travel)
+        if self.travel and report.compass is not None:
+            course = recorded_course(report.compass, self.samples, self.travel)
             report = report.with_course(*_course_seen(course, self.knowledge.reference))
         return report.with_more((self._description(report),)) if self.described else report
 

@@ -264,7 +264,7 @@ def diagnose_axes(
     fewest = [k for k in left if len(rank[k]) == least]
     # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = hypotheses.gyro, hypotheses.field
-    fewest.sort(key=lambda k: (misfit[k] > AXES.doubtful, rank_of(gyro[k]), rank_of(field[k])))
+    fewest.sort(key=lambda k: (misfit[k] > 0.5 * AXES.remains, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(hypotheses, fewest, rank, knowledge)

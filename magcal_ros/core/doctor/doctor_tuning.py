@@ -44,7 +44,8 @@ class AxesTuning:
 
     remains: float = 20.0
     """Chi-square, in independent samples, up to which a hypothesis is kept. From twice as much the
-    axes as given are called wrong, and beyond four times a hypothesis is not fitted."""
+    axes as given are called wrong, and beyond four times a hypothesis is not fitted. Up to half as
+    much, candidates are ordered by common mistakes."""
     times: float = 2.0  # residual, relative to the best one, from which a fit is clearly worse
     lift: float = math.radians(3.0)
     """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
@@ -55,8 +56,7 @@ class AxesTuning:
     most_named: int = 3  # candidates that are described for one sensor
     most: int = 32  # hypotheses that are fitted
     doubtful: float = 12.0
-    """Largest chi-square of field or gravity if soft iron or acceleration may explain it, and up to
-    which candidates are ordered by common mistakes."""
+    """Largest chi-square of field or gravity if soft iron or acceleration may explain it."""
     good_fit: float = 0.06
     """Residual, relative to the changing field, up to which small differences are significant."""
     settled: float = 0.02
@@ -166,7 +166,7 @@ class GuideTuning:
 
     stand: float = 4.0  # seconds of rest of the first step
     rest: float = 1.0  # seconds of rest that end a turn or a lift
-    still: float = 0.04
+    still: float = 0.06
     """Largest change at rest: of gravity's direction, radians, and of the field over its size."""
     lift: float = math.radians(8.0)  # smallest change of gravity's direction, radians
     patience: float = 45.0  # seconds after which a step is given up

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.alignment import BIAS, NO_BIAS, SCALE
+from magcal_ros.core.doctor.alignment import NO_BIAS
 from magcal_ros.core.doctor.axes_diagnosis import (
     AxesDiagnosis,
     PossibleAxes,
@@ -81,6 +81,8 @@ class MotionResult:
     """Whether gravity's sign is wrong; None if undecided."""
     body: SensorLog | None = None
     """The log in rad/s and in body axes; None if the sensors were not compared."""
+    rest: LongestRest | None = None
+    """A rest that the field proves, with rates as published."""
 
 
 def compare(
@@ -104,8 +106,7 @@ def compare(
     bias = NO_BIAS if rest is None else rest.rate
     given, factor = _explained(body, factors, knowledge, bias)
     if given is None:
-        at_rest = rest if rest is not None and rest.is_certain else None
-        return _nothing_shown(log, at_rest, turned_left)
+        return _nothing_shown(log, _certain(rest), turned_left)
     body = replace(body, rate=factor * body.rate)
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
@@ -121,23 +122,24 @@ def compare(
         diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
     findings = [_unit(factor, factors is None), stands, *diagnosis.findings]
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
-    if hypothesis is not None:
-        rest = None if rest is None else rest.times(factor)
-        findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
-    return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
+    return MotionResult(
+        tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body, _certain(rest)
+    )
 
 
-def latency_findings(
+def findings_by_turn(
     prepared: CleanLog, found: MotionResult, turn: TurnFit | None
 ) -> list[Finding]:
-    """Return the findings on the latencies; none unless a hypothesis explains the movement.
+    """Return the findings on errors of the gyro and on latencies, if the movement is explained.
 
     If those of field and accelerometer are equal, the gyro's stamps are early.
     """
     if found.hypothesis is None or found.body is None:
         return []
+    why = NO_BURSTS if prepared.restamped else FULL_TURN
+    lines = _gyro_errors(found.hypothesis, found, turn, why)
     if prepared.restamped:
-        return [undetermined("latency", "field: latency", NO_BURSTS)]
+        return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
     field = Belief.unknown() if turn is None else turn.latency
     force = force_latency(found.body, found.hypothesis)
     field_lag, force_lag = _wrong_by(field, OF_FIELD), _wrong_by(force, ERRORS.lag)
@@ -160,6 +162,7 @@ def latency_findings(
         )
     of_field, of_force = of_field * bool(field_lag), of_force * bool(force_lag)
     return [
+        *lines,
         _latency("latency", "field", field, OF_FIELD, STARTS, of_field),
         _latency("force_latency", "accelerometer", force, ERRORS.lag, LEANS, of_force),
     ]
@@ -237,41 +240,39 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     return severe_finding("rate_unit", "gyro: unit", evidence, words)
 
 
+def _certain(rest: LongestRest | None) -> LongestRest | None:
+    """Return the rest if the field proves it."""
+    return rest if rest is not None and rest.is_certain else None
+
+
 def _gyro_errors(
-    hypothesis: AxesHypothesis, factor: float, rest: LongestRest | None, restamped: bool
-) -> tuple[Finding, Finding]:
-    """Return the findings on the gyro's bias and scale."""
-    state, sigma = hypothesis.state, hypothesis.sigma
-    hidden = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
-    if not np.isfinite(sigma).all():
-        return hidden, undetermined("rate_scale", "gyro: scale", FULL_TURN)
-    # In the gyro's own axes and scale, so that the driver can subtract it.
-    bias = hypothesis.gyro @ state[BIAS] / (1.0 + state[SCALE])
-    off = math.sqrt(float((hypothesis.gyro**2 @ sigma[BIAS] ** 2).max()))
-    # A vehicle's accelerations look like a bias while it turns, and a slow turn like a rest.
-    is_rest = rest is not None and (
-        rest.is_certain or float(np.linalg.norm(rest.rate - bias)) < ERRORS.bias
-    )
-    if rest is not None and is_rest:
-        bias, off = rest.rate, rest.sigma
-    line = _bias(bias, off, factor)
-    if is_vague(off, ERRORS.bias) or (line.is_wrong and not is_rest):
-        line = hidden
-    return line, _scale(hypothesis, factor, restamped)
+    hypothesis: AxesHypothesis, found: MotionResult, turn: TurnFit | None, why: str
+) -> list[Finding]:
+    """Return the findings on the gyro's bias and scale; `why` says why there is no turn."""
+    factor, rest = found.factor, found.rest
+    line = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
+    if turn is not None and not is_vague(turn.bias_sigma, ERRORS.bias):
+        # In the gyro's own axes, so that the driver can subtract it.
+        line = _bias(hypothesis.gyro @ turn.bias, turn.bias_sigma, factor)
+    elif rest is not None:
+        line = _bias(factor * rest.rate, factor * rest.sigma, factor)
+    if turn is None:
+        return [line, undetermined("rate_scale", "gyro: scale", why)]
+    return [line, _scale(turn.scale, factor)]
 
 
-def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Finding:
-    scale, off = float(hypothesis.state[SCALE]), float(hypothesis.sigma[SCALE])
-    if restamped or is_vague(off, ERRORS.scale):
-        why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
-        return undetermined("rate_scale", "gyro: scale", why)
-    too_large = abs(scale) > max(ERRORS.scale, CLEAR * off)
-    evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
+def _scale(scale: Belief, factor: float) -> Finding:
+    if is_vague(scale.sigma, ERRORS.scale):
+        within = f"within {scale.sigma:.1%}; " if math.isfinite(scale.sigma) else ""
+        return undetermined("rate_scale", "gyro: scale", within + FULL_TURN)
+    too_large = abs(scale.value) > max(ERRORS.scale, CLEAR * scale.sigma)
+    evidence = f"{scale.value:+.1%} ± {scale.sigma:.1%}"
     # Motors and iron that change the field during one turn look like a scale error.
     remedy = (
         "check again: stand still, turn a full circle on the spot, away from iron, and stand "
-        f"still. If the field again turns by so much {'more' if scale > 0.0 else 'less'} than the "
-        f"gyro shows, multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
+        f"still. If the field again turns by so much {'less' if scale.value > 0.0 else 'more'} "
+        f"than the gyro shows, multiply the gyro's rates by {factor / (1.0 + scale.value):.4g} in "
+        "the driver"
     )
     return ok_or_warning("rate_scale", "gyro: scale", evidence, remedy * too_large)
 

@@ -34,12 +34,11 @@ from magcal_ros.core.doctor.health import (
     undetermined,
     up_axis,
 )
-from magcal_ros.core.doctor.motion import MotionResult, compare, latency_findings
+from magcal_ros.core.doctor.motion import MotionResult, compare, findings_by_turn
 from magcal_ros.core.doctor.prepared import CleanLog, prepare, segment_of_log
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
@@ -52,15 +51,6 @@ DRIVE_FARTHER = "drive farther: straight, in several directions, and faster than
 UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
 
 
-@dataclass(frozen=True, eq=False)
-class AxesInUse:
-    """The magnetometer's axes by the chosen hypothesis, and a compass with these axes."""
-
-    axes: FloatArray  # rows in body axes, after the known mounting. Shape (3, 3).
-    pose: FloatArray  # the known mounting. Shape (3, 3).
-    compass: Calibration  # good enough to be compared with a course
-
-
 @dataclass(frozen=True)
 class SensorReport:
     """All findings on the sensors of a log."""
@@ -69,8 +59,9 @@ class SensorReport:
     mount_rpy_deg: tuple[int, int, int] | None = None
     """The mounting that corrects the magnetometer's axes; None if they are right or not known, or
     if no mounting corrects them."""
-    used: AxesInUse | None = None  # the compass to compare with a drive's course
     axes: PossibleAxes | None = None  # the possible axes of the magnetometer
+    compass: Calibration | None = None
+    """A compass with the likeliest axes, good enough to be compared with a drive's course."""
 
     @property
     def misleads(self) -> bool:
@@ -88,8 +79,8 @@ class SensorReport:
 
     def with_course(self, gap: Belief, imu_yaw: Belief) -> SensorReport:
         """Return the report with findings on the axes' yaw, which needs a course."""
-        assert self.used is not None
-        lines, mount = course_findings(self.used, gap, imu_yaw)
+        assert self.axes is not None
+        lines, mount = course_findings(self.axes, gap, imu_yaw)
         report = self.with_more(lines)
         return report if mount is None else replace(report, mount_rpy_deg=mount)
 
@@ -130,7 +121,7 @@ def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> Sensor
     )
     if is_usable and found.hypothesis is not None and found.body is not None:
         turn = fit_turn(found.body, found.hypothesis, knowledge, bool(found.up_is_down))
-    lines += latency_findings(prepared, found, turn)
+    lines += findings_by_turn(prepared, found, turn)
     lines = with_field(lines, prepared, found, knowledge, turn)
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
@@ -138,10 +129,11 @@ def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> Sensor
         mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
     lines += known_quirks(log, wrong)
     lines += orientation_findings(log, knowledge) if wrong is None else []
-    used = None
-    if found.hypothesis is not None and found.factor == 1.0 and not found.up_is_down:
-        used = axes_in_use(found.hypothesis, knowledge)
-    return SensorReport(tuple(lines), mount, used, axes)
+    compass = None
+    is_right = axes is not None and found.factor == 1.0 and not found.up_is_down
+    if is_right and found.hypothesis is not None:
+        compass = compass_of(found.hypothesis, knowledge)
+    return SensorReport(tuple(lines), mount, axes, compass)
 
 
 # A refusal and a report need the same turn several times.
@@ -159,8 +151,8 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Sensor
     return replace(report, findings=tuple(kept))
 
 
-def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse | None:
-    """Return axes and compass of a hypothesis in rad/s and body axes; None without a compass."""
+def compass_of(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Calibration | None:
+    """Return the compass of a hypothesis in rad/s and body axes; None if it is not usable."""
     state, size = hypothesis.state, hypothesis.part.size
     if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
         return None
@@ -170,7 +162,7 @@ def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse |
     to_axes = hypothesis.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
     hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
-    compass = Calibration(
+    return Calibration(
         Correction(np.linalg.inv(soft) @ to_axes, hard_iron),
         1e-4 * np.eye(PARAMETERS),
         1e-6,
@@ -179,17 +171,16 @@ def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse |
         0.0,
         Evidence("doctor", "", "", ""),
     )
-    return AxesInUse(hypothesis.field, knowledge.mounting.pose, compass)
 
 
 def course_findings(
-    used: AxesInUse, gap: Belief, imu_yaw: Belief
+    axes: PossibleAxes, gap: Belief, imu_yaw: Belief
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
     """Return the findings, and the mounting that corrects a wrong yaw.
 
-    `gap` is the yaw of the compass in `used` minus course and declination, and minus the IMU's yaw
-    if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from the vehicle's
-    acceleration. Both are in radians.
+    `gap` is the yaw of the compass with these axes minus course and declination, and minus the
+    IMU's yaw if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from the
+    vehicle's acceleration. Both are in radians.
     """
     lines = []
     knows_imu = CLEAR * imu_yaw.sigma < ERRORS.near
@@ -204,9 +195,9 @@ def course_findings(
     )
     if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > ERRORS.near:
         return [*lines, ok_or_warning("field_yaw", YAW_BY_COURSE, evidence)], None
-    axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
-    mount = mount_of(axes, used.pose)
-    turned = f"the magnetometer's axes are {axes_in_words(axes)}: set `{parameter_line(mount)}`"
+    right = np.rint(axes.likeliest @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
+    mount = mount_of(right, axes.pose)
+    turned = f"the magnetometer's axes are {axes_in_words(right)}: set `{parameter_line(mount)}`"
     if knows_imu:
         return [*lines, severe_finding("field_yaw", YAW_BY_COURSE, evidence, turned)], mount
     either = (

@@ -1,7 +1,8 @@
-"""Latencies, the field of the motors, and whether a robot drove, by fits of a turn.
+"""Latencies, errors of the gyro, field of the motors, and whether a robot drove, by fits of a turn.
 
-The field's latency is an unknown of the smoother. Most robots have none, and its prior says so. It
-is removed from the posterior, so that a latency is reported only if the samples determine it.
+The field's latency and the gyro's bias and scale are unknowns of the smoother, which also knows
+rests and the accelerations of a drive. Its priors say that most sensors have small errors. They are
+removed from the posterior, so that an error is reported only if the samples determine it.
 
 The accelerometer's latency is that of gravity, which is constant in the world, in the fit of the
 axes (`AlignmentFit`). The accelerometer's lever arm is fitted with it.
@@ -29,7 +30,7 @@ from magcal_ros.core.doctor.prepared import liveliest, segment_of_log
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
-from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.window import SensorLog, Steps, Window
 from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, Smoothed, smooth
 from magcal_ros.core.smoother.unknowns import AT, BODY_FIELD, DRIVES, MICROTESLA, USUAL
@@ -37,9 +38,12 @@ from magcal_ros.core.smoother.unknowns import AT, BODY_FIELD, DRIVES, MICROTESLA
 
 @dataclass(frozen=True, eq=False)
 class TurnFit:
-    """Latency, motors and kind of motion by the smoother's fit of a turn."""
+    """Errors of the sensors, motors and kind of motion by the smoother's fit of a turn."""
 
     latency: Belief  # of the field, seconds
+    bias: FloatArray  # of the gyro, rad/s, body axes, shape (3,)
+    bias_sigma: float  # rad/s, largest of all axes
+    scale: Belief  # relative error of the gyro's scale about z
     motors: FloatArray | None
     """Field of the motors in body axes while the robot turns, tesla; None without a rest. (3,)."""
     motors_sigma: float  # tesla, largest over all directions
@@ -52,12 +56,13 @@ def fit_turn(
     """Return the fit of a log in rad/s and body axes by a hypothesis; None if it is refused.
 
     The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
-    If the hypothesis has one, a second fit is made with it subtracted from the stamps, and the
-    likelier of the two is used.
+    If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
+    the likelier of the two is used.
     """
     lag = float(hypothesis.state[LAG])
+    is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
     found: list[tuple[float, Smoothed]] = []
-    for each in (0.0, lag) if abs(lag) > AXES.settled else (0.0,):
+    for each in (0.0, lag) if is_late else (0.0,):
         window = _window(log, hypothesis, each, up_is_down)
         if window is None:
             continue
@@ -66,7 +71,16 @@ def fit_turn(
     if not found:
         return None
     lag, best = max(found, key=lambda one: _log_odds(one[1]))
-    return TurnFit(_latency(best, lag), *_motors(best), _drove(best))
+    late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
+    biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
+    return TurnFit(
+        Belief(lag + late.value, math.hypot(late.sigma, TURN.least)),
+        np.array([each.value for each in biases]),
+        max(each.sigma for each in biases),
+        scale,
+        *_motors(best),
+        _drove(best),
+    )
 
 
 def _log_odds(found: Smoothed) -> float:
@@ -94,10 +108,10 @@ def _window(
     return window.with_steps(Steps.straight(every, force, rate).over(rows))
 
 
-def _latency(found: Smoothed, lag: float) -> Belief:
-    """Return the latency by the samples alone, after `lag` seconds were subtracted."""
-    at, best = AT["latency"].start, found.fit
-    prior = float(best.model.priors.scale[at]) * best.point.groups["latency"]
+def _by_samples(found: Smoothed, name: str, element: int = 0) -> Belief:
+    """Return an unknown by the samples alone, without its prior, over all kinds of motion."""
+    at, best = AT[name].start + element, found.fit
+    prior = float(best.model.priors.scale[at]) * best.point.groups[name]
     if not prior > 0.0:
         return Belief.unknown()
     weights = np.array(list(found.weights.values()))
@@ -106,9 +120,7 @@ def _latency(found: Smoothed, lag: float) -> Belief:
     mean = float(weights @ value)
     both = 1.0 / float(weights @ (variance + (value - mean) ** 2))
     own = both - prior**-2.0
-    if own <= 0.0:
-        return Belief.unknown()
-    return Belief(lag + mean * both / own, math.hypot(own**-0.5, TURN.least))
+    return Belief(mean * both / own, own**-0.5) if own > 0.0 else Belief.unknown()
 
 
 def _motors(found: Smoothed) -> tuple[FloatArray | None, float]:

@@ -54,10 +54,6 @@ class LongestRest(NamedTuple):
     sigma: float  # of the mean, per axis, rad/s
     is_certain: bool  # whether a turn at this rate would have changed the field, which was constant
 
-    def times(self, factor: float) -> LongestRest:
-        """Return the rest with rates in another unit."""
-        return self._replace(rate=factor * self.rate, sigma=factor * self.sigma)
-
 
 @dataclass(frozen=True, eq=False)
 class AttachedRest:
