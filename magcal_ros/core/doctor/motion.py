@@ -250,12 +250,15 @@ def _gyro_errors(
 ) -> list[Finding]:
     """Return the findings on the gyro's bias and scale; `why` says why there is no turn."""
     factor, rest = found.factor, found.rest
-    line = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
-    if turn is not None and not is_vague(turn.bias_sigma, ERRORS.bias):
+    bias, off = np.zeros(3), math.inf
+    if turn is not None:
         # In the gyro's own axes, so that the driver can subtract it.
-        line = _bias(hypothesis.gyro @ turn.bias, turn.bias_sigma, factor)
-    elif rest is not None:
-        line = _bias(factor * rest.rate, factor * rest.sigma, factor)
+        bias, off = hypothesis.gyro @ turn.bias, turn.bias_sigma
+    if rest is not None and factor * rest.sigma < off:
+        bias, off = factor * rest.rate, factor * rest.sigma
+    line = _bias(bias, off, factor)
+    if is_vague(off, ERRORS.bias):
+        line = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
     if turn is None:
         return [line, undetermined("rate_scale", "gyro: scale", why)]
     return [line, _scale(turn.scale, factor)]
