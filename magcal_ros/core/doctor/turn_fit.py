@@ -59,6 +59,9 @@ def fit_turn(
     If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
     the likelier of the two is used.
     """
+    # The field is already in body axes.
+    nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
+    knowledge = replace(knowledge, mounting=nominal)
     lag = float(hypothesis.state[LAG])
     is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
     found: list[tuple[float, Smoothed]] = []

@@ -12,7 +12,7 @@ from remembered import remembered
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, driven, evenly
 
-from magcal_ros.core import Grade, Knowledge
+from magcal_ros.core import Grade, Knowledge, Mounting
 from magcal_ros.core.doctor import (
     compare_axes,
     examine,
@@ -445,3 +445,15 @@ def test_a_robot_of_exact_sensors_has_no_latency_to_be_shown():
     report = examine(case.log, replace(case.knowledge, exact_sensors=True))
     lines = {f.key: f for f in report.findings}
     assert lines["latency"].evidence.startswith("not shown")
+
+
+def test_a_known_mounting_is_applied_once():
+    """Applied twice, the field seemed to turn the wrong way, and motors seemed to explain it."""
+    case = good_case(np.random.default_rng([85, 1]), MOST_SEEN)
+    mounting = Mounting(pose=np.diag([1.0, -1.0, -1.0]))
+    log = replace(case.log, field=case.log.field * np.array([1.0, -1.0, -1.0]))
+    report = examine(log, replace(case.knowledge, mounting=mounting), case.turned_left)
+    assert wrong(report) == set()
+    as_mounted = {f.key: f.evidence for f in report_of(case).findings}
+    given = {f.key: f.evidence for f in report.findings}
+    assert all(given[key] == as_mounted[key] for key in ("latency", "motors", "rate_scale"))
