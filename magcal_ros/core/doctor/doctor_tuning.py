@@ -34,7 +34,7 @@ class AlignmentPriors:
 
 
 WIDE = AlignmentPriors()
-OF_FORCE = replace(WIDE, soft_iron=0.02)
+FORCE_PRIORS = replace(WIDE, soft_iron=0.02)
 """Those of an accelerometer in place of a magnetometer: its gains are nearly equal."""
 
 

@@ -45,6 +45,9 @@ FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive ov
 FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"
 NO_BURSTS = "the stamps must not come in bursts"
+FIELD_LAG = 2.0 * AXES.settled
+"""Seconds, the error for `is_vague` of the field's latency. Its sigma is the smoother's, which is
+right even if a movement shows little; that of the accelerometer's latency is too small then."""
 STARTS = "start and stop while you turn, at 20 °/s or more"
 LEANS = "lift the nose by 20° within a second or two, or drive over a kerb"
 NO_GYRO = (
@@ -142,7 +145,7 @@ def findings_by_turn(
         return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
     field = Belief.unknown() if turn is None else turn.latency
     force = force_latency(found.body, found.hypothesis)
-    field_lag, force_lag = _wrong_by(field, OF_FIELD), _wrong_by(force, ERRORS.lag)
+    field_lag, force_lag = _wrong_by(field, FIELD_LAG), _wrong_by(force, ERRORS.lag)
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
         of_field = of_force = (
             f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
@@ -163,12 +166,9 @@ def findings_by_turn(
     of_field, of_force = of_field * bool(field_lag), of_force * bool(force_lag)
     return [
         *lines,
-        _latency("latency", "field", field, OF_FIELD, STARTS, of_field),
+        _latency("latency", "field", field, FIELD_LAG, STARTS, of_field),
         _latency("force_latency", "accelerometer", force, ERRORS.lag, LEANS, of_force),
     ]
-
-
-OF_FIELD = 2.0 * AXES.settled  # seconds, see `is_vague`
 
 
 def _wrong_by(latency: Belief, error: float) -> float:

@@ -25,7 +25,7 @@ from magcal_ros.core.doctor.alignment import (
     inefficiency,
 )
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, per_metre
-from magcal_ros.core.doctor.doctor_tuning import AXES, OF_FORCE, TURN, WIDE
+from magcal_ros.core.doctor.doctor_tuning import AXES, FORCE_PRIORS, TURN, WIDE
 from magcal_ros.core.doctor.prepared import liveliest, segment_of_log
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
@@ -166,7 +166,7 @@ def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
         part = segment_of_log(gravity, lag, TURN.most, TURN.most)
         if part is None:
             break
-        fit = AlignmentFit(part, *axes, with_up=False, priors=OF_FORCE)
+        fit = AlignmentFit(part, *axes, with_up=False, priors=FORCE_PRIORS)
         at = fit.descend(fit.linearised(fit.start()), START_NOISE, AXES.rounds)
         found = _force_latency_by(fit, at, lag)
         if abs(found.value - lag) < AXES.settled:
