@@ -152,7 +152,7 @@ class HealthTuning:
     moving: float = 0.25
     """Of a moving robot: change of the field over its range, fraction of the time in which the gyro
     turns, and rate over its fastest."""
-    alike: float = 0.3
+    alike: float = 0.25
     """Share of the variance of one by which a shift of the other one explains more than any
     latency, if their clocks differ."""
 

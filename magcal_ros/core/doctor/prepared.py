@@ -21,7 +21,6 @@ from magcal_ros.core.geometry.arrays import (
     runs,
 )
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
 from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
 from magcal_ros.core.samples.units import gravity_size
@@ -214,7 +213,7 @@ def _clock_shift(log: SensorLog) -> float:
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
     lag = np.fft.fftfreq(size, 1.0 / size) * RECORDER.row
-    near = max(float(alike[np.abs(lag) <= CLEAR * WIDE.lag].max()), 0.0)
+    near = max(float(alike[np.abs(lag) <= 2.0 * WIDE.lag].max()), 0.0)
     best = int(np.argmax(alike))
     return float(lag[best]) if alike[best] ** 2 - near**2 > HEALTH.alike else 0.0
 
