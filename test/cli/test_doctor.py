@@ -3,7 +3,7 @@ import re
 
 import numpy as np
 import yaml
-from axes_cases import wrong_case
+from axes_cases import cheap_robot, wrong_case
 from drives import write_bag
 from imu_faults_cases import good_case
 from scipy.spatial.transform import Rotation
@@ -21,7 +21,9 @@ def record(folder, axes, scale=1.0, every=2):
     window, knowledge = wrong_case(axes, np.random.default_rng(2), "lift")
     window = window.take(np.arange(0, len(window), every))
     folder.mkdir()
-    imu = np.column_stack([window.time + 1.0, window.specific_force, window.angular_rate])
+    # Without the bias of this robot's gyro, which the turn shows, too.
+    rate = window.angular_rate - cheap_robot(np.random.default_rng(2), axes).gyro_bias
+    imu = np.column_stack([window.time + 1.0, window.specific_force, rate])
     mag = np.column_stack([window.time + 1.0, scale * window.field])
     for name, rows, head in (
         ("imu.csv", imu, "t,ax,ay,az,gx,gy,gz"),

@@ -66,6 +66,7 @@ MOVE_THE_SENSOR = (
 """Remedies if the field changes when the robot starts to turn."""
 
 
+AXES_FIRST = "correct the axes as described above, then check again"
 GRAVITY_FIRST = "correct the accelerometer as described below, then check again"
 
 
@@ -140,7 +141,10 @@ def findings_by_turn(
     if found.hypothesis is None or found.body is None:
         return []
     why = NO_BURSTS if prepared.restamped else FULL_TURN
-    lines = _gyro_errors(found.hypothesis, found, turn, why)
+    # Each of several possible corrections of the axes would give other errors.
+    is_clear = not any(each.key == "axes" and each.is_wrong for each in found.findings)
+    clear = (turn, why) if is_clear else (None, AXES_FIRST)
+    lines = _gyro_errors(found.hypothesis, found, *clear)
     if prepared.restamped:
         return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
     field = Belief.unknown() if turn is None else turn.latency
@@ -258,7 +262,7 @@ def _gyro_errors(
         bias, off = factor * rest.rate, factor * rest.sigma
     line = _bias(bias, off, factor)
     if is_vague(off, ERRORS.bias):
-        line = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
+        line = undetermined("gyro_bias", "gyro: bias", FULL_TURN if why == NO_BURSTS else why)
     if turn is None:
         return [line, undetermined("rate_scale", "gyro: scale", why)]
     return [line, _scale(turn.scale, factor)]
