@@ -36,7 +36,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.disturbance import FieldDeviation
-from magcal_ros.core.heading.motion_detector import MotionDetector
+from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample

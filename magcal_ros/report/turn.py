@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import (
 from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_detector import MotionDetector
+from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
 from magcal_ros.core.samples.streams import ImuSample

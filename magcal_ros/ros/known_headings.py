@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import Reason, in_words
-from magcal_ros.core.heading.yaw_filter import FUSION
+from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading

@@ -13,7 +13,7 @@ from sensor_msgs.msg import BatteryState
 
 from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_detector import MotionDetector
+from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample

@@ -19,11 +19,11 @@ from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.heading.base_heading import (
-    VEHICLE_YAW,
     DrivenYaw,
     VehicleYaw,
     compare_with_course,
 )
+from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
 from magcal_ros.ros import wire

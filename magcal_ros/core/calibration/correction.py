@@ -155,22 +155,25 @@ class MotorField:
         reference, which may hold the robot, has this variance at rest as well. If motion or side of
         a turn are uncertain, so are the inputs that depend on them.
         """
-        inputs = motor_state.values
-        values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
-        unknown = np.isnan(values)
-        are_on = 1.0 if self.may_hold_robot(motor_state) else motor_state.moving
-        share = [
-            are_on if each is MotorInput.CURRENT else motor_state.moving for each in self.inputs
+        every = motor_state.values
+        inputs = [every[INPUTS.index(each)] for each in self.inputs]
+        moving = motor_state.moving
+        side = 0.0 if math.isnan(motor_state.side) else abs(motor_state.side)
+        are_on = 1.0 if self.may_hold_robot(motor_state) else moving
+        share = {MotorInput.CURRENT: are_on}
+        variances = [
+            share.get(each, moving) * usual**2 if math.isnan(value) else 0.0
+            for each, value, usual in zip(self.inputs, inputs, self.usual, strict=True)
         ]
-        covariance = np.diag(np.where(unknown, share * np.square(self.usual), 0.0))
-        side = 0.0 if math.isnan(motor_state.side) else motor_state.side
-        step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
-        steps = np.array([step.get(each, 0.0) for each in self.inputs])
-        covariance += motor_state.moving * (1.0 - motor_state.moving) * np.outer(steps, steps)
+        values = np.array([0.0 if math.isnan(value) else value for value in inputs])
         if MotorInput.SIDE in self.inputs:
-            at = self.inputs.index(MotorInput.SIDE)
-            covariance[at, at] += motor_state.moving * abs(side) * (1.0 - abs(side))
-        return np.where(unknown, 0.0, values), covariance
+            variances[self.inputs.index(MotorInput.SIDE)] += moving * side * (1.0 - side)
+        covariance = np.diag(variances)
+        if 0.0 < moving < 1.0:
+            step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: motor_state.side}
+            steps = np.nan_to_num([step.get(each, 0.0) for each in self.inputs])
+            covariance += moving * (1.0 - moving) * np.outer(steps, steps)
+        return values, covariance
 
     def joint(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""

@@ -9,9 +9,10 @@ __getattr__, __dir__, __all__ = lazy_names(
     compass: CompassReading Heading quaternion_from_rpy
     disturbance: FieldDeviation FieldUse PATIENCE
     fused_yaw: FusedYaw
-    motion_detector: MotionDetector
+    heading_tuning: FUSION
     motor_field_filter: MotorFieldFilter ODDS UNSEEN
+    motor_inputs: MotionDetector
     several_compasses: SeveralCompasses
-    yaw_filter: FUSION GyroDrift PERFECT YawFilter
+    yaw_filter: GyroDrift PERFECT YawFilter
     """,
 )

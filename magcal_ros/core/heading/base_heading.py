@@ -17,21 +17,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
+from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
 from magcal_ros.core.knowledge import CLEAR
-
-
-@dataclass(frozen=True)
-class VehicleYawTuning:
-    """When a sensor counts as misaligned, and a yaw found by driving is used."""
-
-    smallest: float = math.radians(3.0)  # radians; smaller differences are not reported
-    useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
-    lost: float = math.radians(10.0)  # radians of sigma beyond which a course is not used
-    far_off: float = math.radians(15.0)
-    """Difference of described and found yaw from which the user must correct the description."""
-
-
-VEHICLE_YAW = VehicleYawTuning()
 
 
 @dataclass(frozen=True)

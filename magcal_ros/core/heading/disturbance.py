@@ -11,24 +11,10 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
+from magcal_ros.core.heading.heading_tuning import DISTURBANCE
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG
 
-
-@dataclass(frozen=True)
-class DisturbanceTuning:
-    """How a disturbed field is detected, and how far it may turn the yaw."""
-
-    strength: float = 0.02  # relative sigma of a good field's strength from place to place
-    memory: float = 0.3  # seconds over which strength and dip are averaged
-    amplitude: float = 0.01
-    """Prior size of the local disturbance per axis, over the field's strength: 0.5 µT, as on open
-    land. The learnt size is at least half of it."""
-    amplitude_memory: float = 100.0
-    """Seconds over which the amplitude is learnt: a few hundred metres of road."""
-
-
-DISTURBANCE = DisturbanceTuning()
 DIP_SIGMA = math.radians(INCLINATION_SIGMA_DEG)
 MOST_ODDS = 30.0  # largest log odds of added iron against a wrong yaw
 

@@ -30,8 +30,8 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
+from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.heading.yaw_filter import (
-    FUSION,
     UNKNOWN_YAW,
     GyroDrift,
     YawFilter,

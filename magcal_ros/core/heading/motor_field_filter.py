@@ -4,6 +4,9 @@ The inputs have latency and no ripple: a current is reported some tenths of a se
 motion is detected after the motors have started. The field of the place cannot change as fast,
 except by the turn that the gyro measures. A Kalman filter on the field of the place and on the
 residual of the motors' field therefore separates the two.
+
+The filter runs once per block of samples. Within a block the gyro propagates the prediction, and
+each sample is compared with it.
 """
 
 from __future__ import annotations
@@ -14,59 +17,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, MotorState
+from magcal_ros.core.calibration.correction import MotorField, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motion_detector import MOTION
-from magcal_ros.core.knowledge import STREET_LENGTH
+from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
+from magcal_ros.core.heading.heading_tuning import MOTION, PLACE_FIELD
+from magcal_ros.core.heading.motor_inputs import MICROTESLA, FieldByInputs, MotorInputs
 from magcal_ros.core.samples.samples_tuning import STREAMS
-from magcal_ros.core.up.filter import GYRO
 
-MICROTESLA = 1e6
-PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
-"""States: field of the place, and residual of the motors' field; µT, body axes."""
 EYE = np.eye(3)
-
-
-@dataclass(frozen=True)
-class PlaceFieldTuning:
-    """How the field of a place changes in the axes of a robot."""
-
-    field: float = 100.0  # prior sigma of the field before the first sample, µT
-    street: float = 1.0  # size of the local disturbance, µT per axis, median
-    passing: float = 0.03  # random walk of the field at rest, µT per root second
-    latency: float = 0.01  # seconds between gyro and field
-    beside: float = 0.15  # distance of the magnetometer from the pivot, metres
-    unknown_speed: float = 0.3  # m/s of a moving robot without a known speed
-
-    def path(self, speed: float, rate: Triple) -> float:
-        """Return the speed of the magnetometer, m/s, for that of the robot (or NaN) and a rate."""
-        known = self.unknown_speed if math.isnan(speed) else abs(speed)
-        return math.hypot(known, self.beside * math.hypot(*rate))
-
-    def change(
-        self, place: FloatArray, turned: FloatArray, faster: FloatArray, path: float, seconds: float
-    ) -> FloatArray:
-        """Return the process noise of the field of the place, µT², shape (3, 3).
-
-        The local disturbance is not included (`path_variance`). `place` (3,) is the field in µT,
-        body axes, `turned` (3,) the rotation of the robot, radians, `faster` (3,) the change of the
-        turn rate, rad/s, and `path` the path of the magnetometer, metres, zero at rest.
-        """
-        lost = GYRO.walk_variance(math.sqrt(float(turned @ turned)), seconds * (path > 0.0))
-        lost += self.latency**2 * float(faster @ faster)
-        passing = self.passing**2 * seconds
-        return np.asarray(
-            (lost * float(place @ place) + passing) * EYE - lost * place[:, None] * place
-        )
-
-    def path_variance(self, path: float) -> float:
-        """Return the process noise by a path in metres, for a local disturbance of 1 µT, µT²."""
-        return 2.0 * path / STREET_LENGTH
-
-
-PLACE_FIELD = PlaceFieldTuning()
+ZERO: Triple = (0.0, 0.0, 0.0)
+PLACE, RESIDUAL, SAMPLE = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Vectors in µT, body axes: the states, which are the field of the place and the residual of the
+motors' field, and their sum, which a sample shows."""
+STATES = slice(0, 6)
+_BY_STATES = np.kron([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], EYE)
+"""These vectors by the states, shape (9, 6)."""
+_BY_EACH = np.vstack([np.kron(each, each).T for each in (_BY_STATES[:, :3], _BY_STATES[:, 3:])])
+"""Their covariance by those of both states, shape (18, 81)."""
+UNCHANGED = np.zeros((3, 2, 3, 3))
 
 
 def _log_normal(median: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -81,6 +50,11 @@ UNSEEN, STREET = (each.ravel() for each in np.meshgrid(_SHARES, _STREETS))
 """Tried pairs: relative residual of the motors' field, and size of the local disturbance, µT."""
 ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()
 """Their prior odds."""
+_BY_PAIR = np.column_stack([np.ones(len(ODDS)), STREET**2, UNSEEN**2])
+"""Factors of covariances: common to all pairs, by the disturbance, and by the residual."""
+_LATE = np.log([[1.0 - MOTION.late_share], [MOTION.late_share]])
+"""Logarithms of the prior probabilities that motors run as the inputs show, and that they do not:
+they started or stopped undetected."""
 
 
 class MotorCovariance(NamedTuple):
@@ -93,15 +67,54 @@ class MotorCovariance(NamedTuple):
     noise: FloatArray  # covariance (3, 3) of the remaining noise of the sample
 
 
-class _Update(NamedTuple):
-    """The update by a sample, for each tried pair."""
+class _Outcome(NamedTuple):
+    """The field of the place by a sample: means over the tried pairs.
 
-    likelihood: FloatArray  # logarithms, (g,)
-    step: FloatArray  # (g, 6)
-    covariance: FloatArray  # (g, 6, 6)
-    left: FloatArray  # (g, 3)
-    lasting: FloatArray  # (g, 3, 3)
-    noise: FloatArray  # (g, 3, 3)
+    The first of two is for motors that run as the inputs show, the other for motors that do not.
+    """
+
+    odds: float  # logarithm of the odds of the other, for a sample as predicted
+    inverse: FloatArray  # of the covariance of a sample's innovation, 1/µT², (2, 3, 3)
+    gain: FloatArray  # what an innovation adds to the predicted field of the place, (2, 3, 3)
+    errors: FloatArray  # the two covariances of `MotorCovariance`, tesla², (2, 2, 3, 3)
+
+    def late(self, innovation: FloatArray) -> float:
+        """Return the probability that the motors do not run as the inputs show."""
+        one, other = ((self.inverse @ innovation) @ innovation).tolist()
+        return 1.0 / (1.0 + math.exp(min(0.5 * (other - one) - self.odds, 300.0)))
+
+    def field(
+        self, innovation: FloatArray, late: float, place: Triple
+    ) -> tuple[Triple, MotorCovariance]:
+        """Return the field of the place with the sample's remaining noise, tesla; and its errors.
+
+        `place` is the predicted field, µT.
+        """
+        one, other = self.gain @ innovation / MICROTESLA
+        apart = other - one
+        x, y, z = (one + late * apart).tolist()
+        lasting, noise = self.errors[0] + late * (self.errors[1] - self.errors[0])
+        lasting = lasting + late * (1.0 - late) * (apart[:, None] * apart)
+        predicted = scaled(place, 1.0 / MICROTESLA)
+        return plus(predicted, (x, y, z)), MotorCovariance(lasting, noise)
+
+
+@dataclass
+class _Block:
+    """The samples since the filter ran."""
+
+    begin: float
+    until: float
+    """Stamps, seconds: of its first sample, and from which a sample begins the next block."""
+    inputs: MotorInputs  # at the beginning, like the rate in rad/s
+    rate: Triple
+    outcome: _Outcome
+    place: Triple  # prediction for the newest sample, µT
+    residual: Triple
+    off: Triple = ZERO  # sum of the innovations, µT
+    count: int = 0
+    turned: Triple = ZERO  # radians
+    path: float = 0.0  # metres
 
 
 class MotorFieldFilter:
@@ -122,32 +135,26 @@ class MotorFieldFilter:
         self._iron = iron * MICROTESLA**2
         self._of_sample = noise
         self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
-        self._mean = np.zeros((len(UNSEEN), 6))
-        self._covariance = np.zeros((len(UNSEEN), 6, 6))
+        self._mean = np.zeros((len(UNSEEN), 9))
+        self._covariance = np.zeros((len(UNSEEN), 9, 9))
         self.odds: FloatArray = ODDS
-        self._rate, self._before = np.zeros(3), AT_REST
-        self._stamp, self._late_since = -math.inf, math.nan
-        self._values = self._change = np.zeros(0)
+        self._block: _Block | None = None
+        self._stamp, self._rate = -math.inf, ZERO
+        self._late, self._late_since = 0.0, math.nan
+        self._change = np.zeros(0)
         self.use(motors)
 
     def use(self, motors: MotorField) -> None:
         """Use another estimate of the motors' field from now on."""
-        count = len(motors.inputs)
-        self._motors = motors
-        self._gains = motors.gain @ self._matrix.T * MICROTESLA
-        turn = np.kron(np.eye(count), self._matrix) * MICROTESLA
-        by_gains = turn @ motors.covariance @ turn.T
-        self._by_gains = by_gains.reshape(count, 3, count, 3).transpose(1, 3, 0, 2)
-        self._ripple = (motors.ripple * MICROTESLA) ** 2
-        usual = self._gains * np.array(motors.usual)[:, None]
-        self._whole = usual.T @ usual
-        most = self._whole + self._mean_of(self._level(MotorState(1.0), np.array(motors.usual)))
+        self._field = FieldByInputs(motors, self._matrix)
+        usual = self._field.usual
+        most = usual.otherwise + usual.level + self._share() * usual.square
         # Motors within the noise of a sample are not worth the computation.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
-        late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
-        self._latency = np.array([MOTION.latency * (each in late) for each in motors.inputs])
-        if len(self._values) != count:
-            self._values, self._change = np.zeros(count), np.zeros(count)
+        if len(self._change) != len(motors.inputs):
+            self._change = np.zeros(len(motors.inputs))
+        if self._block is not None:
+            self._block.inputs = self._field.at(self._block.inputs.motor_state)
 
     def add(
         self, stamp: float, field: Triple, rate: Triple | None, motor_state: MotorState
@@ -157,177 +164,205 @@ class MotorFieldFilter:
         `field` is in tesla, body axes, `rate` in rad/s without the gyro's bias, None without a
         gyro.
         """
-        values, input_covariance = self._motors.known(motor_state)
         if not self._is_felt or rate is None:
-            if not motor_state.are_on and not input_covariance.any():
-                return field, MotorCovariance(np.zeros((3, 3)), self._of_sample)
-            return self._by_inputs(field, motor_state, values, input_covariance)
-        unknown = self._gains.T @ input_covariance @ self._gains
-        level, holds = self._level(motor_state, values), self._may_hold(motor_state)
-        if holds:
-            # The current that holds a robot is constant, and so is its field.
-            level, unknown = level + unknown, np.zeros((3, 3))
-        self._predict(stamp, rate, motor_state, values, level)
-        known = values @ self._gains
-        measured = MICROTESLA * np.array(field) - known
-        # Motors may stand that are seen running, or run as usual before an input shows it.
-        otherwise = known[:, None] * known + self._whole
-        one, other = self._updates(measured, unknown, unknown + otherwise)
-        late = self._late(stamp, other.likelihood - one.likelihood)
-        if late is None:
-            # A lasting change is no start or stop: it is another motor, or at rest the place.
-            is_place = motor_state.moving == 0.0 and not holds
-            self._forget(PLACE if is_place else RESIDUAL, otherwise)
-            one, other = self._updates(measured, unknown, unknown)
-            late = np.zeros(len(UNSEEN))
-        elif motor_state.moving > 0.0:
-            self._weigh(one.likelihood, late)
-        each, whole = late[:, None], late[:, None, None]
-        self._mean = self._mean + one.step + each * (other.step - one.step)
-        self._covariance = _mixed(late, one.covariance, other.covariance, other.step - one.step)
-        left = one.left + each * (other.left - one.left)
-        spread = _mixed(late, one.lasting, other.lasting, other.left - one.left)
-        noise = self._mean_of(one.noise + whole * (other.noise - one.noise))
-        mean = self.odds @ left
-        spread = self._mean_of(spread) + (left - mean).T @ (self.odds[:, None] * (left - mean))
-        x, y, z = ((measured - mean) / MICROTESLA).tolist()
-        return (x, y, z), MotorCovariance(spread / MICROTESLA**2, noise / MICROTESLA**2)
+            return self._by_inputs(field, motor_state)
+        block = self._block_at(stamp, rate, motor_state)
+        off = self._field.subtracted(scaled(field, MICROTESLA), motor_state)
+        off = minus(off, plus(block.place, block.residual))
+        block.off, block.count = plus(block.off, off), block.count + 1
+        innovation = np.array(off)
+        self._late = block.outcome.late(innovation)
+        return block.outcome.field(innovation, self._late, block.place)
 
-    def _by_inputs(
-        self,
-        field: Triple,
-        motor_state: MotorState,
-        values: FloatArray,
-        input_covariance: FloatArray,
-    ) -> tuple[Triple, MotorCovariance]:
+    def _by_inputs(self, field: Triple, motor_state: MotorState) -> tuple[Triple, MotorCovariance]:
         """Return a sample minus K u alone, for a residual that samples cannot show."""
-        x, y, z = (values @ self._gains / MICROTESLA).tolist()
-        spread = (
-            self._mean_of(self._level(motor_state, values))
-            + self._gains.T @ input_covariance @ self._gains
+        inputs = self._field.at(motor_state)
+        spread = inputs.level + self._share() * inputs.square + inputs.unknown
+        if not spread.any():
+            return field, MotorCovariance(spread, self._of_sample)
+        known = self._field.subtracted(scaled(field, MICROTESLA), motor_state)
+        errors = MotorCovariance(spread / MICROTESLA**2, self._of_sample)
+        return scaled(known, 1.0 / MICROTESLA), errors
+
+    def _block_at(self, stamp: float, rate: Triple, motor_state: MotorState) -> _Block:
+        """Return the block of a sample; the filter runs where one ends."""
+        seconds, self._stamp = stamp - self._stamp, stamp
+        mean_rate, self._rate = interpolate(self._rate, rate, 0.5), rate
+        block = self._block
+        if block is None or not 0.0 < seconds < STREAMS.longest_field_gap:
+            inputs = self._field.at(motor_state)
+            self._change = np.zeros(len(inputs.values))
+            by_residual = np.square(UNSEEN)[:, None, None] * inputs.square
+            self._forget(PLACE, inputs.level)
+            self._forget(RESIDUAL, inputs.level + by_residual)
+            # A prior that knows nothing is of use to one sample.
+            block = self._begin(inputs, rate, 0.0)
+        else:
+            # A robot at rest has a gyro's noise and no turn, unless its motors run undetected.
+            moves = 1.0 if motor_state.moving > 0.0 else self._late
+            turn = scaled(mean_rate, moves * seconds)
+            block.turned = plus(block.turned, turn)
+            block.path += moves * seconds * PLACE_FIELD.path(motor_state.speed, rate)
+            block.place = propagated(block.place, turn)
+            if stamp >= block.until or block.inputs.differ(motor_state):
+                self._update(block)
+                inputs = self._field.at(motor_state)
+                self._predict(*self._changes(block, inputs, rate))
+                block = self._begin(inputs, rate, PLACE_FIELD.block)
+        self._block = block
+        return block
+
+    def _begin(self, inputs: MotorInputs, rate: Triple, seconds: float) -> _Block:
+        """Begin a block, whose samples are compared with the mean over the tried pairs."""
+        mean, noise = self.odds @ self._mean, self._noise
+        off = self._mean - mean
+        joint = self._mean_of(self._covariance) + (self.odds * off.T) @ off
+        spread = joint[SAMPLE, SAMPLE] + (inputs.unknown + noise)
+        inverse, determinant = _inverse(np.array([spread, spread + inputs.otherwise]))
+        shared = joint[PLACE, SAMPLE] + noise
+        gain = shared @ inverse
+        # The motors' field contains a part of the sample's noise, which cancels in the difference.
+        cancelled = EYE - gain
+        lasting = (joint[PLACE, PLACE] + noise) - gain @ shared.T
+        lasting = lasting - cancelled @ noise @ cancelled.swapaxes(1, 2)
+        errors = np.stack([lasting, gain @ noise @ gain.swapaxes(1, 2)], axis=1) / MICROTESLA**2
+        one, other = (_LATE[:, 0] - 0.5 * np.log(determinant)).tolist()
+        x, y, z, p, q, r = mean[STATES].tolist()
+        outcome = _Outcome(other - one, inverse, gain, errors)
+        return _Block(
+            self._stamp, self._stamp + seconds, inputs, rate, outcome, (x, y, z), (p, q, r)
         )
-        known = MotorCovariance(spread / MICROTESLA**2, self._of_sample)
-        return (field[0] - x, field[1] - y, field[2] - z), known
 
     def _mean_of(self, each: FloatArray) -> FloatArray:
         """Return the mean over the tried pairs, weighted by their odds."""
-        return np.asarray(np.tensordot(self.odds, each, 1))
+        return np.asarray(self.odds @ each.reshape(len(each), -1)).reshape(each.shape[1:])
 
-    def _level(self, motor_state: MotorState, values: FloatArray) -> FloatArray:
-        """Return the covariance of the motors' field about K u, µT², (g, 3, 3)."""
-        by_gains = (self._by_gains @ values) @ values
-        known = values @ self._gains
-        beside = motor_state.moving * self._ripple * EYE + by_gains
-        return np.asarray(beside + np.square(UNSEEN)[:, None, None] * (known[:, None] * known))
+    def _share(self) -> float:
+        """Return the mean square of the relative residual."""
+        return float(self.odds @ np.square(UNSEEN))
 
-    def _late(self, stamp: float, odds: FloatArray) -> FloatArray | None:
-        """Return the probability of an undetected start or stop of motors; None if it lasts."""
-        share = MOTION.late_share
-        late = share / (share + (1.0 - share) * np.exp(np.minimum(-odds, 300.0)))
+    def _update(self, block: _Block) -> None:
+        """Update by the mean of a block.
+
+        The mixture of the updates for both kinds of motors (`_LATE`) has mean and covariance of
+        one.
+        """
+        inverse, weighted, likelihood = self._innovation(block)
+        odds = np.logaddexp(likelihood[0], likelihood[1])
+        late = np.exp(likelihood[1] - odds)
+        if self._lasts(block, late):
+            # A lasting change is no start or stop: it is another motor, or at rest the place.
+            is_place = block.inputs.motor_state.moving == 0.0 and not block.inputs.holds
+            self._forget(PLACE if is_place else RESIDUAL, block.inputs.otherwise, block)
+            inverse, weighted, _ = self._innovation(block)
+            late = np.zeros(len(UNSEEN))
+        elif block.inputs.is_moving:
+            odds = self.odds * np.exp(odds - odds.max())
+            self.odds = odds / odds.sum()
+        part, apart = late[:, None, None], (weighted[1] - weighted[0])[:, :, None]
+        shared = np.ascontiguousarray(self._covariance[:, STATES, SAMPLE])
+        step = shared @ (weighted[0][:, :, None] + part * apart)
+        known = inverse[0] + part * (inverse[1] - inverse[0])
+        known = known - (part * (1.0 - part) * apart) * apart.swapaxes(1, 2)
+        covariance = self._covariance[:, STATES, STATES]
+        covariance = covariance - shared @ known @ shared.swapaxes(1, 2)
+        self._mean = self._mean[:, STATES] + step[:, :, 0]
+        self._covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
+
+    def _innovation(self, block: _Block) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Compare a block's mean with its prediction, for both kinds of motors (`_LATE`).
+
+        Returns the inverse of the innovation's covariance (2, g, 3, 3), the same times the
+        innovation (2, g, 3), and the logarithm of prior and likelihood (2, g).
+        """
+        mean, off = self._mean[:, SAMPLE], np.array(block.off) / block.count
+        off = off + self.odds @ mean - mean
+        spread = self._covariance[:, SAMPLE, SAMPLE]
+        spread = spread + (block.inputs.unknown + self._noise / block.count)
+        inverse, determinant = _inverse(np.array([spread, spread + block.inputs.otherwise]))
+        weighted = (inverse @ off[:, :, None])[..., 0]
+        square = np.einsum("gi,kgi->kg", off, weighted)
+        return inverse, weighted, _LATE - 0.5 * (np.log(determinant) + square)
+
+    def _lasts(self, block: _Block, late: FloatArray) -> bool:
+        """Whether motors run undetected for too long, so that the change is another one."""
         if self.odds @ late < 0.5:
             self._late_since = math.nan
-        elif math.isnan(self._late_since):
-            self._late_since = stamp
-        elif stamp - self._late_since > MOTION.longest:
-            self._late_since = math.nan
-            return None
-        return np.asarray(late)
+            return False
+        if math.isnan(self._late_since):
+            self._late_since = block.begin
+        if self._stamp - self._late_since <= MOTION.longest:
+            return False
+        self._late_since = math.nan
+        return True
 
-    def _weigh(self, likelihood: FloatArray, late: FloatArray) -> None:
-        """Update the odds of the tried pairs by a sample."""
-        seen = likelihood - np.log1p(-np.minimum(late, 1.0 - 1e-12))
-        odds = self.odds * np.exp(seen - seen.max())
-        self.odds = odds / odds.sum()
-
-    def _updates(
-        self, measured: FloatArray, unknown: FloatArray, otherwise: FloatArray
-    ) -> tuple[_Update, _Update]:
-        """Return the updates by a sample, under two covariances of the motors' field."""
-        mean, covariance = self._mean, self._covariance
-        either = np.stack([unknown, otherwise])[:, None]
-        off = (measured - mean[:, PLACE] - mean[:, RESIDUAL])[:, :, None]
-        both = covariance[:, :, PLACE] + covariance[:, :, RESIDUAL]
-        inverse = np.linalg.inv(both[:, PLACE] + both[:, RESIDUAL] + either + self._noise)
-        left = both[:, RESIDUAL] + either
-        missed, seen = inverse @ off, left @ inverse
-        rest = EYE - seen
-        # The residual contains a part of the sample's noise, which cancels in the difference.
-        lasting = covariance[:, RESIDUAL, RESIDUAL] + either - seen @ left.swapaxes(2, 3)
-        lasting = lasting - seen @ self._noise @ seen.swapaxes(2, 3)
-        found = (
-            0.5 * (np.log(np.linalg.det(inverse)) - np.sum(off * missed, axis=(2, 3))),
-            (both @ missed)[:, :, :, 0],
-            covariance - both @ inverse @ both.swapaxes(1, 2),
-            mean[:, RESIDUAL] + (left @ missed)[:, :, :, 0],
-            lasting,
-            rest @ self._noise @ rest.swapaxes(2, 3),
-        )
-        return _Update(*(each[0] for each in found)), _Update(*(each[1] for each in found))
-
-    def _may_hold(self, motor_state: MotorState) -> bool:
-        """Whether an unmeasured current may hold the robot at rest."""
-        return motor_state.moving == 0.0 and self._motors.may_hold_robot(motor_state)
-
-    def _predict(
-        self,
-        stamp: float,
-        rate: Triple,
-        motor_state: MotorState,
-        values: FloatArray,
-        level: FloatArray,
-    ) -> None:
-        seconds, self._stamp = stamp - self._stamp, stamp
-        before = self._before
-        moves, moved = motor_state.moving > 0.0, before.moving > 0.0
-        holds, held = self._may_hold(motor_state), self._may_hold(before)
-        now = np.array(rate)
-        changed, self._values = values - self._values, values
-        faster, self._rate, self._before = now - self._rate, now, motor_state
-        if not 0.0 < seconds < STREAMS.longest_field_gap:
-            self._forget(PLACE, level)
-            self._forget(RESIDUAL, level)
-            self._change = np.zeros(len(values))
-            return
+    def _changes(
+        self, block: _Block, now: MotorInputs, rate: Triple
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return step and changes of the states since the beginning of a block (`_predict`)."""
+        seconds, values = self._stamp - block.begin, now.values
+        changed = values - block.inputs.values
         share = min(seconds / MOTION.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
-        turned = seconds * moves * (now - 0.5 * faster)
-        # Motors may hold a robot at rest.
-        alike = (
-            moves is moved and holds is held and (holds or (motor_state.are_on and before.are_on))
-        )
-        lasts = math.inf if holds else MOTION.body_length
-        keeps = math.exp(-seconds / lasts) if alike else 0.0
-        if moves:
-            self.odds = self.odds + seconds / MOTION.unseen_time * (ODDS - self.odds)
-        step = np.zeros((6, 6))
-        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
-        self._mean = self._mean @ step.T
-        covariance = step @ self._covariance @ step.T
-        path = seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
-        place = self.odds @ self._mean[:, PLACE]
-        covariance[:, PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
-        path_variance = PLACE_FIELD.path_variance(path) * np.square(STREET)
-        across = skew(turned) / math.sqrt(max(math.sqrt(float(turned @ turned)), 1e-12))
-        iron = across @ self._iron @ across.T
-        covariance[:, PLACE, PLACE] += path_variance[:, None, None] * EYE + iron
+        lasts = math.inf if now.holds else MOTION.body_length
+        keeps = math.exp(-seconds / lasts) if now.goes_on(block.inputs) else 0.0
+        step, changes = keeps * np.eye(6), UNCHANGED.copy()
         # Within the latency, the residual changes by as much as the inputs.
-        late = 0.5 * MOTION.body_length / MOTION.latency * self._latency**2
-        level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
-        covariance[:, RESIDUAL, RESIDUAL] += (1.0 - keeps**2) * level
-        covariance[:, RESIDUAL, RESIDUAL] += keeps**2 * (self._by_gains @ changed) @ changed
-        self._covariance = covariance
+        late = 0.5 * MOTION.body_length / MOTION.latency * (self._field.latency * self._change) ** 2
+        level, fresh = now.level + (self._field.gains.T * late) @ self._field.gains, 1.0 - keeps**2
+        changes[0, 1] = fresh * level + keeps**2 * (self._field.by_gains(changed))
+        changes[2, 1] = fresh * now.square
+        turned = np.array(block.turned)
+        step[PLACE, PLACE] = exp_rotation(-turned)
+        place = step[PLACE, PLACE] @ (self.odds @ self._mean[:, PLACE])
+        faster = np.array(minus(rate, block.rate))
+        across = skew(turned)
+        iron = across @ self._iron @ across.T / max(math.hypot(*block.turned), 1e-12)
+        changes[0, 0] = iron + PLACE_FIELD.change(place, turned, faster, block.path, seconds)
+        changes[1, 0] = PLACE_FIELD.path_variance(block.path) * EYE
+        if now.is_moving:
+            self.odds = self.odds + seconds / MOTION.unseen_time * (ODDS - self.odds)
+        return step, changes
 
-    def _forget(self, which: slice, level: FloatArray) -> None:
-        """Reset the field of the place, or the residual to the covariance `level`."""
+    def _predict(self, step: FloatArray, changes: FloatArray) -> None:
+        """Predict the states, and the sum that a sample shows.
+
+        `step` (6, 6) is of the states. `changes` are covariances that are added in the order of
+        `_BY_PAIR` and of the states, (3, 2, 3, 3).
+        """
+        step = _BY_STATES @ step
+        added = (_BY_PAIR @ changes.reshape(3, 18)) @ _BY_EACH
+        covariance = step @ self._covariance[:, STATES, STATES] @ step.T
+        self._mean = self._mean[:, STATES] @ step.T
+        self._covariance = covariance + added.reshape(-1, 9, 9)
+
+    def _forget(self, which: slice, level: FloatArray, block: _Block | None = None) -> None:
+        """Reset the field of the place, or the residual to the covariance `level`.
+
+        The innovations of a `block` are those of the new prediction afterwards.
+        """
+        before = self.odds @ self._mean[:, SAMPLE]
         self._mean[:, which] = 0.0
         self._covariance[:, which] = self._covariance[:, :, which] = 0.0
         unknown = PLACE_FIELD.field**2 * EYE if which is PLACE else level
         self._covariance[:, which, which] = unknown
+        self._predict(np.eye(6), UNCHANGED)
+        if block is not None:
+            x, y, z = (block.count * (before - self.odds @ self._mean[:, SAMPLE])).tolist()
+            block.off = plus(block.off, (x, y, z))
 
 
-def _mixed(share: FloatArray, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:
-    """Return the covariances of mixtures of two each, with means that differ by `apart`."""
-    part = share[:, None, None]
-    apart = apart[:, :, None] * apart[:, None, :]
-    spread = one + part * (other - one) + part * (1.0 - part) * apart
-    return np.asarray(0.5 * (spread + spread.swapaxes(1, 2)))
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_COFACTORS = tuple(
+    (3 * rows[:, None] + columns).ravel()
+    for rows, columns in ((_NEXT, _NEXT), (_LAST, _LAST), (_NEXT, _LAST), (_LAST, _NEXT))
+)
+
+
+def _inverse(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return inverses and determinants of symmetric matrices (..., 3, 3), faster than by LAPACK."""
+    flat = matrices.reshape(*matrices.shape[:-2], 9)
+    a, b, c, d = (flat.take(each, -1) for each in _COFACTORS)
+    cofactors = a * b - c * d
+    determinant = np.einsum("...i,...i", flat[..., :3], cofactors[..., :3])
+    return (cofactors / determinant[..., None]).reshape(matrices.shape), determinant

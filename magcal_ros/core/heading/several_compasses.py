@@ -15,8 +15,9 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
 from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_between
-from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
+from magcal_ros.core.heading.disturbance import FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
+from magcal_ros.core.heading.heading_tuning import DISTURBANCE
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.up.follower import Up

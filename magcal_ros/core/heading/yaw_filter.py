@@ -7,54 +7,14 @@ yaw is constant: this separates the two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.heading.compass import CERTAIN
+from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.up.filter import GYRO
 
-
-@dataclass(frozen=True)
-class FusionTuning:
-    """The Kalman filter on yaw, gyro bias and the field's disturbance."""
-
-    bias_sigma: float = 0.001  # least sigma of the remaining bias about up, rad/s
-    rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
-    rest_time: float = 10.0  # correlation time of this turn rate, seconds
-    spread: float = 1.5
-    """Standard deviation of the natural logarithm of three sizes: of this turn rate (wheels stand,
-    boats swing), of a gyro's random walk over the usual one, and of `heading_error_time`."""
-    tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
-    noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
-    small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
-    moving_tau: float = 20.0
-    """Correlation time of the disturbance of a moving robot, seconds. The correlation length of
-    streets is 25 to 30 m: 4 s in a car and 37 s at walking pace. Too short a time would make the
-    variance of the yaw too small."""
-    standing_tau: float = 300.0  # the same at rest
-    learning_step: float = 0.1  # seconds between updates of the disturbance
-    contradicted_after: float = 3.0  # seconds of disagreement after which a good field overrules
-    beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
-    heading_tau: float = 2.0  # seconds of headings from another device that are joined
-    heading_error_time: float = 1.0
-    """Correlation time of the error of such a heading, seconds, median. Noise is white, reflections
-    last for a minute."""
-    heading_drift: float = 7e-4  # rad/s per root second: .3°/s within a minute
-    """Random walk of the drift rate of such headings, by reflections or a wrong ambiguity. It looks
-    like a random walk of the gyro's bias."""
-    drift_time: float = 100.0  # correlation time of the drift's rate and angle, seconds
-    drift_jump: float = 0.1  # radians of error when headings come back from beyond the gate
-    drift_odds: tuple[float, float] = (0.1, 1e-3)
-    """Prior odds that a device drifts, and that a good one starts to within `heading_tau`."""
-    integrated_rate: float = 2e-3  # rad/s, usual bias of a gyro that a device integrates
-    integrated_odds: float = 0.01  # prior odds of such a device
-    heading_gate: float = 4.0  # largest normalised innovation of a heading
-    start: float = 5.0  # seconds from the start in which a disturbance may still be detected
-
-
-FUSION = FusionTuning()
 UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of an unknown yaw, rad²."""
 

@@ -14,7 +14,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
+from magcal_ros.core.heading.heading_tuning import FUSION
+from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import HeadingSample

@@ -23,7 +23,7 @@ from magcal_ros.core.doctor.sensor_report import refusal_by_sensors
 from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_detector import MotionDetector
+from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
 from magcal_ros.core.multi_turn.result import TurnResult
 from magcal_ros.core.samples.battery import SILENT, Messages

@@ -16,7 +16,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
-from magcal_ros.core.heading.yaw_filter import FUSION
+from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.fit import Tolerances

@@ -52,6 +52,18 @@ def test_start_and_stop_may_be_detected_late_or_early(late):
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
+@pytest.mark.parametrize("first", first_of(range(100, 106), 2))
+def test_a_start_that_no_input_shows_is_seen_at_once(first):
+    """Within a block of samples and at its edge."""
+    runs = np.arange(300) >= first
+    reported = [
+        MotorState(1.0, 0.4, 0.0, 0.0, 1.0) if k >= first + 5 else AT_REST for k in range(300)
+    ]
+    off, sigma = errors(motors(), reported, np.outer(runs, STEP), runs)
+    assert np.linalg.norm(off, axis=1).max() < 0.1 * np.linalg.norm(STEP)
+    assert np.mean((off / sigma) ** 2) < 1.2
+
+
 def test_ripple_and_latency_of_a_current_are_compensated():
     rng = np.random.default_rng(1)
     stamps = np.arange(500) * PERIOD
