@@ -43,10 +43,9 @@ from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, examine_drive, replay_drive
 from magcal_ros.core.self_calibration.jobs import Decision, DecisionKind, DriveResult, Mode
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
-from magcal_ros.core.self_calibration.worker import examine_drive
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

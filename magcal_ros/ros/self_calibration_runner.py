@@ -14,9 +14,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
+from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode, Watch
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
-from magcal_ros.core.self_calibration.watch import Watch
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
@@ -140,7 +139,7 @@ class SelfCalibrationRunner:
 
 def run_with_low_priority(job: DriveJob) -> DriveResult:
     """Do a job in the worker process at low priority; its modules are imported only there."""
-    from magcal_ros.core.self_calibration.worker import examine_drive
+    from magcal_ros.core.self_calibration.drive_replay import examine_drive
 
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     return examine_drive(job)

@@ -15,7 +15,7 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.heading.compass import CompassReading
-from magcal_ros.core.self_calibration.watch import Watch
+from magcal_ros.core.self_calibration.jobs import Watch
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.files.default_paths import identifier

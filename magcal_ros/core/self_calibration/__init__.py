@@ -5,12 +5,11 @@ from magcal_ros.core.lazy_names import lazy_names
 __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
-    drive_replay: DrivePath DriveReplay path_along replay_drive
+    drive_replay: DrivePath DriveReplay examine_drive path_along ratio_on_later_data replay_drive
     jobs: CandidateKind Decision DecisionKind DriveCandidate DriveJob DriveResult Mode
-        SELF_CALIBRATION difference reason_to_accept
+        Watch difference reason_to_accept
     motor_learning: MotorLearning
     self_calibration: SelfCalibration
-    watch: Watch
-    worker: examine_drive ratio_on_later_data
+    self_calibration_tuning: SELF_CALIBRATION
     """,
 )

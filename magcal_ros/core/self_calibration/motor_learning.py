@@ -18,8 +18,9 @@ from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInpu
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motor_field_filter import PLACE_FIELD
+from magcal_ros.core.heading.heading_tuning import PLACE_FIELD
 from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.self_calibration.self_calibration_tuning import LEARNING
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -30,25 +31,6 @@ LATE = GAINS.stop
 """State: latency of the current, seconds."""
 CURRENT = INPUTS.index(MotorInput.CURRENT)
 
-
-@dataclass(frozen=True)
-class LearningTuning:
-    """Priors of robots and places."""
-
-    block: float = 0.2  # seconds whose samples are averaged
-    body: float = 0.05  # µT per axis of the body's coloured noise at rest
-    body_length: float = 4.0  # correlation time of this noise, seconds
-    freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
-    pace: float = 0.01  # weight of a block in the averages of noise and inputs
-    street: float = 2.0  # local disturbance, µT per axis
-    iron_walk: float = 0.003  # random walk of the hard iron, µT per root second
-    usual: float = 0.05  # µT, median of the field of an input at its usual size
-    spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
-    most: float = 30.0  # µT, largest such field
-    late: float = 0.1  # prior mean and sigma of the current's latency, seconds
-
-
-TUNING = LearningTuning()
 
 USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
 """Size of an input while a robot moves, until it is known: rad/s, m/s, A."""
@@ -83,10 +65,10 @@ class MotorLearning:
         rows = np.r_[IRON, GAINS]
         self._covariance[np.ix_(rows, rows)] = self._prior
         self._mean[GAINS] = self._prior_mean[3:]
-        self._mean[LATE], self._covariance[LATE, LATE] = TUNING.late, TUNING.late**2
+        self._mean[LATE], self._covariance[LATE, LATE] = LEARNING.late, LEARNING.late**2
         motors = calibration.motors
-        ripple = TUNING.body if motors is None else motors.ripple * MICROTESLA
-        self._ripple = max(ripple, TUNING.body)
+        ripple = LEARNING.body if motors is None else motors.ripple * MICROTESLA
+        self._ripple = max(ripple, LEARNING.body)
         self._reference = math.nan if motors is None else motors.reference
         self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
         if motors is not None:
@@ -123,7 +105,7 @@ class MotorLearning:
         block.field = block.field + np.array(raw)
         block.inputs = block.inputs + np.array(motor_state.values)
         block.clear = block.clear and motor_state.moving in (0.0, 1.0)
-        if stamp - block.begin < TUNING.block:
+        if stamp - block.begin < LEARNING.block:
             return False
         # Sensors and motors have latency: next to a start or stop no block is clear.
         before, self._before, self._block = self._before, block, None
@@ -162,14 +144,14 @@ class MotorLearning:
         Each is the root mean square under the posterior of the size (`Unknown`), one input after
         the other.
         """
-        grid = TUNING.usual * np.exp(TUNING.spread * np.linspace(-2.0, 3.2, 14))
-        grid = grid[grid < TUNING.most]
-        belief = -0.5 * (np.log(grid / TUNING.usual) / TUNING.spread) ** 2
+        grid = LEARNING.usual * np.exp(LEARNING.spread * np.linspace(-2.0, 3.2, 14))
+        grid = grid[grid < LEARNING.most]
+        belief = -0.5 * (np.log(grid / LEARNING.usual) / LEARNING.spread) ** 2
         scales = np.ones(len(seen.weighted))
         per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
         free = [(j, k) for j, k in enumerate(which) if k not in self._known]
         for j, k in free:
-            scales[3 + 3 * j : 6 + 3 * j] = TUNING.usual * per_unit[k]
+            scales[3 + 3 * j : 6 + 3 * j] = LEARNING.usual * per_unit[k]
         for _ in range(2 if free else 0):
             for j, k in free:
                 odds = np.empty(len(grid))
@@ -211,7 +193,7 @@ class MotorLearning:
             self._mean[at] = 0.0
             self._covariance[at, :] = self._covariance[:, at] = 0.0
         self._covariance[PLACE, PLACE] = PLACE_FIELD.field**2 * np.eye(3)
-        self._covariance[BODY, BODY] = TUNING.body**2 * np.eye(3)
+        self._covariance[BODY, BODY] = LEARNING.body**2 * np.eye(3)
 
     def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
         """Propagate over a block and update with its means, but not next to a start or stop."""
@@ -241,16 +223,16 @@ class MotorLearning:
         # The last column is the derivative by the current's latency.
         off = y - h[:, :LATE] @ self._mean[:LATE]
         square = float(off @ np.linalg.solve(spread, off))
-        weight = (TUNING.freedom + 3.0) / (TUNING.freedom + square)
+        weight = (LEARNING.freedom + 3.0) / (LEARNING.freedom + square)
         # Outliers have less weight; a large step that the gains may explain is no outlier.
         gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
         self._mean += gain @ off
         self._covariance -= gain @ p_h.T
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
         if moves:
-            self._squares += TUNING.pace * (np.where(known, u**2, self._squares) - self._squares)
-            step = TUNING.pace * (min(square / 3.0, 4.0) - 1.0)
-            self._ripple = min(max(self._ripple * math.exp(step), TUNING.body), TUNING.most)
+            self._squares += LEARNING.pace * (np.where(known, u**2, self._squares) - self._squares)
+            step = LEARNING.pace * (min(square / 3.0, 4.0) - 1.0)
+            self._ripple = min(max(self._ripple * math.exp(step), LEARNING.body), LEARNING.most)
 
     def _predict(self, block: _Interval, moves: bool) -> None:
         path, seconds = block.path, block.seconds
@@ -260,18 +242,18 @@ class MotorLearning:
         faster, self._rate = rate - self._rate, rate
         self._left = block.turned - block.mean_turned
         step = np.eye(len(self._mean))
-        correlation = math.exp(-seconds / TUNING.body_length)
+        correlation = math.exp(-seconds / LEARNING.body_length)
         step[PLACE, PLACE] = exp_rotation(-turned)
         step[BODY, BODY] = correlation * np.eye(3)
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
         self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
-        path_variance = TUNING.street**2 * PLACE_FIELD.path_variance(path)
+        path_variance = LEARNING.street**2 * PLACE_FIELD.path_variance(path)
         self._covariance[PLACE, PLACE] += path_variance * np.eye(3)
-        level = self._ripple if moves else TUNING.body
+        level = self._ripple if moves else LEARNING.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - correlation**2) * np.eye(3)
-        self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)
+        self._covariance[IRON, IRON] += LEARNING.iron_walk**2 * seconds * np.eye(3)
 
 
 def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
@@ -281,7 +263,7 @@ def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozen
     mean, covariance = np.zeros(size), np.zeros((size, size))
     for k, each in enumerate(INPUTS):
         at = slice(3 + 3 * k, 6 + 3 * k)
-        covariance[at, at] = (TUNING.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
+        covariance[at, at] = (LEARNING.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
     covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
     motors, known = calibration.motors, frozenset[int]()
     if motors is not None:

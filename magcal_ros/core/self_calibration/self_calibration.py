@@ -17,7 +17,6 @@ from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.self_calibration.jobs import (
     METHOD,
-    SELF_CALIBRATION,
     CandidateKind,
     Decision,
     DecisionKind,
@@ -25,13 +24,14 @@ from magcal_ros.core.self_calibration.jobs import (
     DriveJob,
     DriveResult,
     Mode,
+    Watch,
     difference,
     is_another,
     is_finer,
     is_same,
     reason_to_accept,
 )
-from magcal_ros.core.self_calibration.watch import Watch
+from magcal_ros.core.self_calibration.self_calibration_tuning import SELF_CALIBRATION
 
 EARLIER, ALL, IRON = CandidateKind
 REMEMBERED = 20  # decisions that are kept
