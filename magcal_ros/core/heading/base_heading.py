@@ -85,7 +85,7 @@ def compare_with_course(
         return DrivenYaw(own, gap, sigma, _missing_declination(gap, sigma))
     by_course = math.hypot(course.sigma, declination_sigma)
     sigma = math.hypot(by_course, mounting.sigma)
-    if abs(gap) > max(CLEAR * sigma, VEHICLE_YAW.smallest):
+    if abs(gap) > max(CLEAR * sigma, VEHICLE_YAW.useful):
         return DrivenYaw(own, gap, sigma, _suspicion(gap, sigma, declination))
     # Both agree, and are weighted by their variances.
     yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
@@ -107,7 +107,7 @@ def _missing_declination(gap: float, sigma: float) -> str:
 def _suspicion(gap: float, sigma: float, declination: float) -> str:
     """Return in words why compass and course differ although the IMU's yaw is subtracted."""
     size = f"{math.degrees(gap):+.1f}° ± {math.degrees(sigma):.1f}°"
-    is_large = abs(declination) > VEHICLE_YAW.smallest
+    is_large = abs(declination) > VEHICLE_YAW.useful
     if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < CLEAR * sigma:
         return (
             f"compass and course differ by {size}, twice the declination in use: its sign is "
@@ -199,7 +199,7 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     if found is None:
         return ""
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
-    if gap < max(CLEAR * found.sigma, VEHICLE_YAW.smallest):
+    if gap < max(CLEAR * found.sigma, VEHICLE_YAW.useful):
         return ""
     return (
         f"{found.words}, but vehicle_yaw_deg is {math.degrees(by_hand):.1f}°, which is used: check "

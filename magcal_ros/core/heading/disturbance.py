@@ -11,7 +11,7 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
-from magcal_ros.core.heading.heading_tuning import DISTURBANCE
+from magcal_ros.core.heading.heading_tuning import DISTURBANCE, FUSION
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG
 
@@ -103,7 +103,7 @@ class FieldDeviation:
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
         seconds, self._stamp = stamp - self._stamp, stamp
         is_next = 0.0 < seconds < 1.0
-        share = 1.0 - math.exp(-seconds / DISTURBANCE.memory) if is_next else 1.0
+        share = 1.0 - math.exp(-seconds / FUSION.noise_tau) if is_next else 1.0
         old_size, old_dip = self._mean
         self._mean = (old_size + share * (size - old_size), old_dip + share * (dip - old_dip))
         if self._distance(self._calibrated, tilt_variance) < 1.0:

@@ -30,7 +30,7 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
-from magcal_ros.core.heading.heading_tuning import FUSION
+from magcal_ros.core.heading.heading_tuning import FUSION, PLACE_FIELD
 from magcal_ros.core.heading.yaw_filter import (
     UNKNOWN_YAW,
     GyroDrift,
@@ -195,7 +195,7 @@ class FusedYaw:
         error = float(self._filter.errors @ compass)
         innovation = wrapped(yaw_gap - (self._shift - then.shift) - error)
         self._seconds_unlearned += since
-        if self._seconds_unlearned >= FUSION.learning_step:
+        if self._seconds_unlearned >= PLACE_FIELD.block:
             self._change_disturbance(self._seconds_unlearned, innovation, heading)
             self._seconds_unlearned = 0.0
         if self.has_external_yaw:
@@ -359,10 +359,10 @@ class FusedYaw:
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         contradiction = (innovation / CLEAR) ** 2 / following.spread(by_tilt + by_noise, compass)
         is_good = self.detector.use is FieldUse.GOOD
-        clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
+        clear = (contradiction - 1.0) / (contradiction + 1.0)
         more = max(0.0, self._contradicted_seconds + clear * seconds)
         self._contradicted_seconds = more if is_good else 0.0
-        is_overruled = self._contradicted_seconds > FUSION.contradicted_after
+        is_overruled = self._contradicted_seconds > FUSION.tilt_tau
         if is_overruled:
             following.add_variance(innovation**2)
             self._contradicted_seconds = contradiction = 0.0

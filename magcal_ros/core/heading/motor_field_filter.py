@@ -21,7 +21,7 @@ from magcal_ros.core.calibration.correction import MotorField, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
-from magcal_ros.core.heading.heading_tuning import MOTION, PLACE_FIELD
+from magcal_ros.core.heading.heading_tuning import DISTURBANCE, MOTION, PLACE_FIELD
 from magcal_ros.core.heading.motor_inputs import MICROTESLA, FieldByInputs, MotorInputs
 from magcal_ros.core.samples.samples_tuning import STREAMS
 
@@ -321,7 +321,8 @@ class MotorFieldFilter:
         changes[0, 0] = iron + PLACE_FIELD.change(place, turned, faster, block.path, seconds)
         changes[1, 0] = PLACE_FIELD.path_variance(block.path) * EYE
         if now.is_moving:
-            self.odds = self.odds + seconds / MOTION.unseen_time * (ODDS - self.odds)
+            share = seconds / DISTURBANCE.amplitude_memory
+            self.odds = self.odds + share * (ODDS - self.odds)
         return step, changes
 
     def _predict(self, step: FloatArray, changes: FloatArray) -> None:

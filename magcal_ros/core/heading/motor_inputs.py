@@ -63,26 +63,23 @@ class MotionDetector:
             # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
-        is_edge = 0.0 <= stamp - self._since < MOTION.edge
-        share = 0.5 if moves is None or is_edge else float(moves)
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
-        driven = speed * float(moves is not False)
-        side = max(-1.0, min(1.0, turn_rate / MOTION.rate))
-        if is_edge and moves is False:
-            # Just after a turn, its motors may still run.
-            side = self.newest.side
         return MotorState(
-            share, turn_rate, driven, self._beyond_rest(moves, seconds, current), side
+            0.5 if moves is None else float(moves),
+            turn_rate,
+            speed * float(moves is not False),
+            self._beyond_rest(seconds, current),
+            max(-1.0, min(1.0, turn_rate / MOTION.rate)),
         )
 
-    def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
+    def _beyond_rest(self, seconds: float, current: float) -> float:
         """Return a current minus that at rest, which is updated at rest."""
-        rests = moves is False and self._stamp - self._since > MOTION.edge
+        rests = self._moves is False and not 0.0 <= self._stamp - self._since < MOTION.latency
         if rests and not math.isnan(current):
             share = min(max(seconds, 0.0) / MOTION.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
-        return 0.0 * current if moves is False else current - self._idle
+        return 0.0 * current if self._moves is False else current - self._idle
 
 
 class MotorInputs(NamedTuple):

@@ -228,7 +228,7 @@ class GyroDrift:
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2 + fourth**2)
-        odds = np.array([1.0, FUSION.drift_odds[0], FUSION.integrated_odds])
+        odds = np.array([1.0, *FUSION.drift_odds])
         self._log_odds += np.log(odds)[kind]
         self._update_weights()
         self.begin(0.0, 0.0)
@@ -258,7 +258,9 @@ class GyroDrift:
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
             self._covariance[:, 3, 3] += FUSION.drift_jump**2 * (self._drift_walks > 0.0)
         steady, drifting, _ = self._log_odds.reshape(-1, DRIFT_KINDS).T
-        drifting[:] = np.logaddexp(drifting, steady + math.log(FUSION.drift_odds[1]))
+        # As many good devices start to drift as stop.
+        starts = FUSION.drift_odds[0] * FUSION.heading_tau / FUSION.drift_time
+        drifting[:] = np.logaddexp(drifting, steady + math.log(starts))
         kept = np.exp((self._heard - stamp) / self._lasts)
         self._heard = stamp
         self._state[:, 2] *= kept

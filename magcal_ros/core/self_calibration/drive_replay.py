@@ -48,6 +48,7 @@ from magcal_ros.core.self_calibration.self_calibration_tuning import SELF_CALIBR
 from magcal_ros.core.smoother import drives
 from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.up.filter import FILTER
 from magcal_ros.core.up.follower import propagated_up
 
 
@@ -296,7 +297,7 @@ def path_along(
     else:
         yaw = yaw_from_up_and_field(up, field)
         steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * SELF_CALIBRATION.map_every)
-        steps *= np.where(known, speed, SELF_CALIBRATION.usual_speed)
+        steps *= np.where(known, speed, FILTER.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
     return DrivePath(place - place[0], error, is_measured, bool(known.any()))

@@ -18,11 +18,16 @@ from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInpu
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.heading_tuning import PLACE_FIELD
+from magcal_ros.core.heading.heading_tuning import FUSION, MOTION, PLACE_FIELD
+from magcal_ros.core.heading.motor_field_filter import ODDS, STREET
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.self_calibration.self_calibration_tuning import LEARNING
 
 MICROTESLA = 1e6
+PACE = PLACE_FIELD.block / FUSION.moving_tau
+"""Weight of a block in the averages of noise and inputs."""
+USUAL_STREET = float(ODDS @ STREET**2)
+"""Mean square of the local disturbance, µT² per axis."""
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
 FIXED = 9
 """States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
@@ -65,7 +70,8 @@ class MotorLearning:
         rows = np.r_[IRON, GAINS]
         self._covariance[np.ix_(rows, rows)] = self._prior
         self._mean[GAINS] = self._prior_mean[3:]
-        self._mean[LATE], self._covariance[LATE, LATE] = LEARNING.late, LEARNING.late**2
+        usual = 0.5 * MOTION.latency
+        self._mean[LATE], self._covariance[LATE, LATE] = usual, usual**2
         motors = calibration.motors
         ripple = LEARNING.body if motors is None else motors.ripple * MICROTESLA
         self._ripple = max(ripple, LEARNING.body)
@@ -77,6 +83,7 @@ class MotorLearning:
         self._block: _Interval | None = None
         self._before: _Interval | None = None
         self._was_clear = True
+        self._moving = 0.0
         self._left = self._rate = np.zeros(3)
         self._stamp = -math.inf
         self._forget_place()
@@ -104,8 +111,10 @@ class MotorLearning:
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
         block.inputs = block.inputs + np.array(motor_state.values)
-        block.clear = block.clear and motor_state.moving in (0.0, 1.0)
-        if stamp - block.begin < LEARNING.block:
+        is_steady = motor_state.moving == self._moving
+        block.clear = block.clear and is_steady and motor_state.moving in (0.0, 1.0)
+        self._moving = motor_state.moving
+        if stamp - block.begin < PLACE_FIELD.block:
             return False
         # Sensors and motors have latency: next to a start or stop no block is clear.
         before, self._before, self._block = self._before, block, None
@@ -230,8 +239,8 @@ class MotorLearning:
         self._covariance -= gain @ p_h.T
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
         if moves:
-            self._squares += LEARNING.pace * (np.where(known, u**2, self._squares) - self._squares)
-            step = LEARNING.pace * (min(square / 3.0, 4.0) - 1.0)
+            self._squares += PACE * (np.where(known, u**2, self._squares) - self._squares)
+            step = PACE * (min(square / 3.0, 4.0) - 1.0)
             self._ripple = min(max(self._ripple * math.exp(step), LEARNING.body), LEARNING.most)
 
     def _predict(self, block: _Interval, moves: bool) -> None:
@@ -242,14 +251,14 @@ class MotorLearning:
         faster, self._rate = rate - self._rate, rate
         self._left = block.turned - block.mean_turned
         step = np.eye(len(self._mean))
-        correlation = math.exp(-seconds / LEARNING.body_length)
+        correlation = math.exp(-seconds / MOTION.body_length)
         step[PLACE, PLACE] = exp_rotation(-turned)
         step[BODY, BODY] = correlation * np.eye(3)
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
         self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
-        path_variance = LEARNING.street**2 * PLACE_FIELD.path_variance(path)
+        path_variance = USUAL_STREET * PLACE_FIELD.path_variance(path)
         self._covariance[PLACE, PLACE] += path_variance * np.eye(3)
         level = self._ripple if moves else LEARNING.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - correlation**2) * np.eye(3)

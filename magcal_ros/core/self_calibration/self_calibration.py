@@ -138,7 +138,7 @@ class SelfCalibration:
         if self.mode is Mode.OFF:
             wait = SELF_CALIBRATION.watch_every
         elif IRON in self._contests:
-            wait = SELF_CALIBRATION.look_again
+            wait = 0.5 * SELF_CALIBRATION.look_every
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 

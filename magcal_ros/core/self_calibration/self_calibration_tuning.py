@@ -10,8 +10,8 @@ from dataclasses import dataclass
 class SelfCalibrationTuning:
     """Thresholds of self-calibration; seconds are of movement."""
 
-    look_every: float = 20.0  # seconds between two jobs
-    look_again: float = 10.0  # the same while a changed hard iron is on probation
+    look_every: float = 20.0
+    """Seconds between two jobs; half of it while a changed hard iron is on probation."""
     watch_every: float = 60.0  # the same if no calibration is sought
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
     """Seconds of driving to which all twelve numbers are fitted."""
@@ -37,7 +37,6 @@ class SelfCalibrationTuning:
     gain. It is lower for hard iron, whose change was clear before."""
     roadside: float = 0.01
     """Prior probability of steel on one side of all roads of one quarter of the headings."""
-    usual_speed: float = 5.0  # m/s of a robot whose speed is not measured
     memory: float = 600.0  # seconds of driving that are kept
     map_every: float = 0.5  # seconds between points of the map of a drive
 
@@ -46,17 +45,12 @@ class SelfCalibrationTuning:
 class LearningTuning:
     """Priors of robots and places."""
 
-    block: float = 0.2  # seconds whose samples are averaged
     body: float = 0.05  # µT per axis of the body's coloured noise at rest
-    body_length: float = 4.0  # correlation time of this noise, seconds
     freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
-    pace: float = 0.01  # weight of a block in the averages of noise and inputs
-    street: float = 2.0  # local disturbance, µT per axis
     iron_walk: float = 0.003  # random walk of the hard iron, µT per root second
     usual: float = 0.05  # µT, median of the field of an input at its usual size
     spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
     most: float = 30.0  # µT, largest such field
-    late: float = 0.1  # prior mean and sigma of the current's latency, seconds
 
 
 SELF_CALIBRATION, LEARNING = SelfCalibrationTuning(), LearningTuning()
