@@ -225,10 +225,11 @@ class MotorFieldFilter:
         cancelled = EYE - gain
         lasting = (joint[PLACE, PLACE] + noise) - gain @ shared.T
         lasting = lasting - cancelled @ noise @ cancelled.swapaxes(1, 2)
-        errors = np.stack([lasting, gain @ noise @ gain.swapaxes(1, 2)], axis=1) / MICROTESLA**2
+        errors = np.empty((2, 2, 3, 3))
+        errors[:, 0], errors[:, 1] = lasting, gain @ noise @ gain.swapaxes(1, 2)
         one, other = (_LATE[:, 0] - 0.5 * np.log(determinant)).tolist()
         x, y, z, p, q, r = mean[STATES].tolist()
-        outcome = _Outcome(other - one, inverse, gain, errors)
+        outcome = _Outcome(other - one, inverse, gain, errors / MICROTESLA**2)
         return _Block(
             self._stamp, self._stamp + seconds, inputs, rate, outcome, (x, y, z), (p, q, r)
         )
@@ -306,14 +307,14 @@ class MotorFieldFilter:
         self._change = self._change + share * (changed / seconds - self._change)
         lasts = math.inf if now.holds else MOTION.body_length
         keeps = math.exp(-seconds / lasts) if now.goes_on(block.inputs) else 0.0
-        step, changes = keeps * np.eye(6), UNCHANGED.copy()
+        step, changes = np.zeros((6, 6)), UNCHANGED.copy()
         # Within the latency, the residual changes by as much as the inputs.
         late = 0.5 * MOTION.body_length / MOTION.latency * (self._field.latency * self._change) ** 2
         level, fresh = now.level + (self._field.gains.T * late) @ self._field.gains, 1.0 - keeps**2
-        changes[0, 1] = fresh * level + keeps**2 * (self._field.by_gains(changed))
+        changes[0, 1] = fresh * level + keeps**2 * self._field.by_gains(changed)
         changes[2, 1] = fresh * now.square
         turned = np.array(block.turned)
-        step[PLACE, PLACE] = exp_rotation(-turned)
+        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         place = step[PLACE, PLACE] @ (self.odds @ self._mean[:, PLACE])
         faster = np.array(minus(rate, block.rate))
         across = skew(turned)

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.vec3 import Triple, length, minus, scaled
+from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.heading.heading_tuning import MOTION
 
 MICROTESLA = 1e6
@@ -106,9 +106,12 @@ class MotorInputs(NamedTuple):
 
     def differ(self, now: MotorState) -> bool:
         """Whether motors have started or stopped since, or other inputs are known."""
-        then = self.motor_state
-        return then.moving != now.moving or any(
-            math.isnan(a) is not math.isnan(b) for a, b in zip(then, now, strict=True)
+        then, isnan = self.motor_state, math.isnan
+        return (
+            then.moving != now.moving
+            or isnan(then.turn_rate) is not isnan(now.turn_rate)
+            or isnan(then.speed) is not isnan(now.speed)
+            or isnan(then.current) is not isnan(now.current)
         )
 
 
@@ -122,8 +125,8 @@ class FieldByInputs:
         count = len(motors.inputs)
         self._motors = motors
         self.gains = motors.gain @ matrix.T * MICROTESLA
-        self._by_input = tuple(
-            (INPUTS.index(each), (gain[0], gain[1], gain[2]))
+        self._by_input: tuple[tuple[int, float, float, float], ...] = tuple(
+            (INPUTS.index(each), *gain)
             for each, gain in zip(motors.inputs, self.gains.tolist(), strict=True)
         )
         turn = np.kron(np.eye(count), matrix) * MICROTESLA
@@ -164,8 +167,9 @@ class FieldByInputs:
 
     def subtracted(self, field: Triple, motor_state: MotorState) -> Triple:
         """Return a field minus K u."""
-        every = motor_state.values
-        for at, gain in self._by_input:
-            if not math.isnan(every[at]):
-                field = minus(field, scaled(gain, every[at]))
-        return field
+        (x, y, z), every = field, motor_state.values
+        for at, by_x, by_y, by_z in self._by_input:
+            value = every[at]
+            if value and not math.isnan(value):
+                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
+        return (x, y, z)
