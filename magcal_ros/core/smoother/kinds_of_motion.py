@@ -140,12 +140,10 @@ class _MotionFits:
         like: Fit | None = None,
         tolerances: Tolerances = Tolerances(),
         priors: Priors | None = None,
-        rival: float = math.inf,
     ) -> None:
         """Fit one kind of motion, and keep the fit if it is the most likely one of its kind.
 
-        `priors` are those of this kind alone, if they differ from those of the others. `rival` is
-        the evidence of a fit that this one has to beat.
+        `priors` are those of this kind alone, if they differ from those of the others.
         """
         done, self._started = self._started, self._started + 1
 
@@ -159,10 +157,10 @@ class _MotionFits:
 
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        known = self.fits.get(name)
-        if known is None or like is not known:
-            # A fit that is continued may improve slowly for many rounds.
-            rival = min(rival, self._equal_weight(name))
+        known, rival = self.fits.get(name), math.inf
+        if like is not None and like is not known:
+            # A first fit, or one that is continued, may improve slowly for many rounds.
+            rival = self._equal_weight(name)
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -264,8 +262,7 @@ class _MotionFits:
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
         # From the same start and for as many rounds as the fit with rests, to be comparable.
-        least = math.inf if rested is None else rested.evidence
-        self.add(ON_WHEELS, tolerances=ROUGH, rival=least)
+        self.add(ON_WHEELS, tolerances=ROUGH)
         moved = self.fits.get(ON_WHEELS)
         if rested is not None and (moved is None or rested.evidence < moved.evidence):
             self.nodes, self.fits[ON_WHEELS] = resting, rested
