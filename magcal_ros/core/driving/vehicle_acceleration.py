@@ -36,14 +36,15 @@ class VehicleAcceleration:
     a speed with latency or at 1 Hz can be used.
 
     `turn` is the force over the change of velocity of an IMU that faces ahead: its angle is minus
-    the IMU's yaw, and noise of the speed makes it smaller than one. `error` is its sigma. `noise`
-    (m/s²) and `density` (m²/s³) are the residual of the force and its spectral density. While
-    `is_yaw_known` is false, a vehicle is assumed to drive forwards.
+    the IMU's yaw, and noise of the speed makes it smaller than one. `error` is its relative sigma,
+    by yaw and scale. `noise` (m/s²) and `density` (m²/s³) are the residual of the force and its
+    spectral density. While `is_yaw_known` is false, a vehicle is assumed to drive forwards.
     """
 
     def __init__(self) -> None:
         self.turn, self.error, self.is_yaw_known = 1.0 + 0j, 0.0, False
-        self.noise, self.density = 0.3, 0.36
+        self.noise = 0.3
+        self.density = 2.0 * self.noise**2 * FILTER.acceleration_lasts
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[tuple[Tick, complex]] = deque()
         self._key: tuple[SpeedSource, float] | None = None
@@ -59,7 +60,8 @@ class VehicleAcceleration:
 
     def _try_anew(self) -> None:
         self._matched.clear()
-        self._gravity: tuple[float, Triple, float] | None = None  # with the size of own
+        # Stamp, gravity, and the size of the acceleration that was subtracted for it, m/s².
+        self._gravity: tuple[float, Triple, float] | None = None
 
     @property
     def is_measured(self) -> bool:

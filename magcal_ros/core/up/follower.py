@@ -199,7 +199,10 @@ class UpFollower:
         self._propagation.field.add(stamp, field)
 
     def add(self, sample: ImuSample, measured: LinearAcceleration | None = None) -> None:
-        """Add an IMU sample, and a measured acceleration; after a gap the estimate starts again."""
+        """Add an IMU sample; after a gap the estimate starts again.
+
+        A measured acceleration corrects up as long as the gyro propagates it.
+        """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample

@@ -106,7 +106,7 @@ class MeasuredAcceleration:
 
     @staticmethod
     def _log_ratio(gap: float, variance: float) -> float:
-        """Return the log likelihood ratio of a right measurement."""
+        """Return the log likelihood ratio of a right measurement against a wrong one."""
         square, wrong = gap * gap, variance + 2.0 * FILTER.usual_acceleration**2
         tail = 0.5 * FILTER.freedom + 1.0
         off = tail * math.log1p(square / (FILTER.freedom * variance))
