@@ -54,61 +54,48 @@ DIP_BOUND = Bound(
 )
 
 
-def compared(
-    old: Correction,
+def checks_of_change(
+    old: Calibration,
     new: Correction,
-    strength: float,
-    inclination: float,
+    place: tuple[float, float],
     chance: float,
+    local: float,
     before: float | None = None,
-) -> Check:
-    """Grade by how much an old correction turns the headings, and name what has changed most.
+) -> tuple[Check, Check, Check]:
+    """Grade an old calibration by a new correction: the swing of the heading, strength and dip.
 
-    `strength` (tesla) and `inclination` (rad) are those of the new correction. `chance` is the
-    largest swing by chance, and `before` the swing of the raw field, radians.
+    `place` are strength (tesla) and inclination (rad) of the new correction. `chance` is the
+    largest swing by chance, radians, and `local` the largest relative difference of strength and
+    dip. `before` is the swing of the raw field.
     """
-    place = strength, inclination
-    matrix = new.matrix @ np.linalg.inv(old.matrix)
-    left, _, right = np.linalg.svd(matrix)
+    known = old.correction
+    left, _, right = np.linalg.svd(new.matrix @ np.linalg.inv(known.matrix))
     rotation = left @ right
-    x, y, _ = 1e6 * (old.matrix @ (new.hard_iron - old.hard_iron))
+    x, y, _ = 1e6 * (known.matrix @ (new.hard_iron - known.hard_iron))
     parts = {
-        ADDED.format(x=x, y=y): Correction(old.matrix, new.hard_iron),
-        MOVED: Correction(rotation @ old.matrix, old.hard_iron),
-        BENT: Correction(rotation.T @ new.matrix, old.hard_iron),
+        ADDED.format(x=x, y=y): Correction(known.matrix, new.hard_iron),
+        MOVED: Correction(rotation @ known.matrix, known.hard_iron),
+        BENT: Correction(rotation.T @ new.matrix, known.hard_iron),
     }
-    cause = max(parts, key=lambda words: heading_swing(parts[words], old, *place))
+    cause = max(parts, key=lambda words: heading_swing(parts[words], known, *place))
     bound = replace(SWING_BOUND, remedy=cause, when_refused=f"{cause}; {OTHER_ROBOT}")
-    return check_beside_chance(bound, heading_swing(new, old, *place), chance, before)
-
-
-def check_place(
-    old: Calibration, new: Correction, strength: float, inclination: float, chance: float
-) -> tuple[Check, Check]:
-    """Grade mean strength and dip of the field that an old calibration corrects.
-
-    `chance` is the largest relative difference by chance. The other parameters are as for
-    `compared`.
-    """
-    by_old, by_none = (
-        _offsets(each, new, strength, inclination, old)
-        for each in (old.correction, Correction.identity())
-    )
-    strength_check, dip_check = (
-        check_beside_chance(bound, value, chance, raw)
+    swing = heading_swing(new, known, *place)
+    by_old, by_none = (_offsets(each, new, place, old) for each in (known, Correction.identity()))
+    strength, dip = (
+        check_beside_chance(bound, value, local, raw)
         for bound, value, raw in zip((STRENGTH_BOUND, DIP_BOUND), by_old, by_none, strict=True)
     )
-    return strength_check, dip_check
+    return check_beside_chance(bound, swing, chance, before), strength, dip
 
 
 def _offsets(
-    seen: Correction, new: Correction, strength: float, inclination: float, old: Calibration
+    seen: Correction, new: Correction, place: tuple[float, float], old: Calibration
 ) -> tuple[float, float]:
     """Return relative strength and dip (rad) of a field minus those of a calibration, no sign.
 
     They are means over level headings of the field that `seen` makes.
     """
-    up, _, field = fields_on_level(new, seen, strength, inclination)
+    up, _, field = fields_on_level(new, seen, *place)
     size = np.linalg.norm(field, axis=1)
     dip = -np.arcsin(np.clip(np.sum(field * up, axis=1) / np.maximum(size, 1e-12), -1.0, 1.0))
     return (

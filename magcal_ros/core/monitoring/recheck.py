@@ -39,8 +39,7 @@ from magcal_ros.core.monitoring.change import (
     OTHER_ROBOT,
     STRENGTH_BOUND,
     SWING_BOUND,
-    check_place,
-    compared,
+    checks_of_change,
     local_chance,
 )
 from magcal_ros.core.samples.coverage import Coverage
@@ -185,14 +184,15 @@ def _checks(
     chance = CHANGE.chance * calibration_sigma(estimate)
     if is_fixed:
         chance = math.hypot(chance, _distortion(estimate, corrected))
-    checks, swing = [compared(old, new, *place, chance, by_none)], None
-    if estimate.swing is not None:
-        swing = smoother.swing_of(found, corrected)
-        left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
-        checks.append(_check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed))
     size = found.fit.local_field / MICROTESLA / calibration.strength
     local = CHANGE.chance * local_chance(size, float(np.ptp(found.nodes.time)))
-    return [*checks, *check_place(calibration, new, *place, local)], swing
+    turned, *other = checks_of_change(calibration, new, place, chance, local, by_none)
+    if estimate.swing is None:
+        return [turned, *other], None
+    swing = smoother.swing_of(found, corrected)
+    left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
+    gyro = _check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed)
+    return [turned, gyro, *other], swing
 
 
 def _distortion(estimate: Estimate, field: FloatArray) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.assessment.bounds import SIGMA
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import PARAMETERS
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.driving.travel_estimator import TravelReplay
@@ -23,7 +23,7 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
 from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
@@ -51,6 +51,9 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.up.filter import FILTER
 from magcal_ros.core.up.follower import propagated_up
 
+MAP_EVERY = RECORDER.row * RECORDER.chunk
+"""Seconds between points of the map of a drive."""
+
 
 def examine_drive(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
@@ -69,14 +72,16 @@ def examine_drive(job: DriveJob) -> DriveResult:
             candidates.append(_all_twelve(nodes, job, clock - seconds, clock))
         except Refusal as why:
             refusal = str(why)
-    ratios = {
-        kind: ratio_on_later_data(nodes, job.in_force.correction, fits, job.knowledge)
-        for kind, fits in job.contests.items()
-        if job.in_force is not None
-    }
-    if since_change is not None:
-        since_change = _with_ratio(nodes, since_change, job)
     found = tuple(_with_ratio(nodes, each, job) for each in candidates)
+    if job.in_force is None:
+        return DriveResult(clock, found, refusal=refusal)
+    old, ratios = job.in_force, {}
+    for kind, fit in job.contests.items():
+        ratios[kind] = ratio_on(nodes.between(fit.end), old, fit.calibration, job.knowledge)
+    if since_change is not None:
+        road = nodes.between(since_change.start)
+        ratio = ratio_on(road, old, since_change.calibration, job.knowledge)
+        since_change = replace(since_change, ratio=ratio)
     return DriveResult(clock, found, since_change, ratios, refusal)
 
 
@@ -86,15 +91,14 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
         return None
     first = max(clock - SELF_CALIBRATION.look_back, job.changed)
     change = find_change(nodes.between(first), job.in_force, job.knowledge)
-    if change is None or change.gain < SELF_CALIBRATION.notice_proof:
+    if change is None or change.gain < SELF_CALIBRATION.notice:
         return None
     return candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
 
 
 def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
     """Return the hard iron since the last proved change; None without one."""
-    is_long = SELF_CALIBRATION.shortest_since <= clock - job.changed < math.inf
-    if job.in_force is None or not is_long:
+    if job.in_force is None or math.isinf(job.changed):
         return None
     start = max(job.changed, clock - SELF_CALIBRATION.look_back)
     fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
@@ -110,35 +114,19 @@ def _with_ratio(nodes: Nodes, fit: DriveCandidate, job: DriveJob) -> DriveCandid
     """Return a fit, with its likelihood ratio if it contradicts the watched calibration."""
     if job.watched is None or not contradicts(fit, job.watched):
         return fit
-    both = job.watched, fit.calibration
-    road, to_body = nodes.between(fit.start), job.knowledge.mounting.matrix
-    old, new = (drives.corrected(road, each.correction, to_body) for each in both)
-    return replace(fit, ratio=drives.likelihood_ratio_of(old, new, job.knowledge))
+    road = nodes.between(fit.start)
+    return replace(fit, ratio=ratio_on(road, job.watched, fit.calibration, job.knowledge))
 
 
-def ratio_on_later_data(
-    nodes: Nodes, old: Correction, new: tuple[DriveCandidate, ...], knowledge: Knowledge
+def ratio_on(
+    road: Nodes, old: Calibration, new: Calibration, knowledge: Knowledge
 ) -> drives.LikelihoodRatio:
-    """Return the log likelihood ratio of a new calibration and an old one on held-out data.
-
-    If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
-    Dawid, 1984), so that all data since the first fit count.
-    """
-    road = nodes.between(new[0].end)
+    """Return the log likelihood ratio of a new calibration and an old one; empty if too short."""
     if len(road) < 4:
         return drives.LikelihoodRatio()
-    before = drives.corrected(road, old, knowledge.mounting.matrix)
-    return drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
-
-
-def _read(nodes: Nodes, fits: tuple[DriveCandidate, ...], knowledge: Knowledge) -> Nodes:
-    """Return the nodes, each corrected by the newest fit before it."""
-    field = nodes.field.copy()
-    for fit in fits:
-        later = nodes.time > fit.end
-        read = drives.corrected(nodes, fit.calibration.correction, knowledge.mounting.matrix)
-        field[later] = read.field[later]
-    return replace(nodes, field=field)
+    to_sensor = knowledge.mounting.matrix
+    before, after = (drives.corrected(road, each.correction, to_sensor) for each in (old, new))
+    return drives.likelihood_ratio_of(before, after, knowledge)
 
 
 def candidate_of(
@@ -248,7 +236,7 @@ def replay_drive(
         speed, up = replay.estimator.speed, replay.up.newest
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
-            due = last + SELF_CALIBRATION.map_every
+            due = last + MAP_EVERY
         pairer.offer(sample)
         for pair in pairer.take():
             if not machine.add(pair, speed):
@@ -296,7 +284,7 @@ def path_along(
         place = interpolated(time, fixes[:, 0], fixes[:, 1:])
     else:
         yaw = yaw_from_up_and_field(up, field)
-        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * SELF_CALIBRATION.map_every)
+        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * MAP_EVERY)
         steps *= np.where(known, speed, FILTER.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
@@ -307,7 +295,7 @@ def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:
     """Return the path of the record of a drive; None if it is too short."""
     if len(log) < 10:
         return None
-    every = max(1, round(SELF_CALIBRATION.map_every / float(np.median(np.diff(log.time)))))
+    every = max(1, round(MAP_EVERY / float(np.median(np.diff(log.time)))))
     up, speed = propagated_up(log), np.full(len(log), math.nan) if log.speed is None else log.speed
     rows = (values[::every] for values in (log.time, log.field, up, speed))
     return path_along(calibration, *rows)

@@ -23,7 +23,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     known_sigma,
 )
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.change import CHANGE, check_place, compared, local_chance
+from magcal_ros.core.monitoring.change import CHANGE, checks_of_change, local_chance
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.self_calibration_tuning import SELF_CALIBRATION
 
@@ -60,7 +60,7 @@ class DriveCandidate:
     in_motion: Correction | None = None
     """Of the moving robot, with the mean field of its motors; None if no motors were fitted."""
     ratio: LikelihoodRatio | None = None
-    """Over the watched calibration, on the data of the fit; None if the two hardly differ."""
+    """Over the calibration in force, on the data of the fit; None if the two hardly differ."""
 
     @property
     def sigma(self) -> float:
@@ -68,16 +68,12 @@ class DriveCandidate:
         return known_sigma(self.calibration)
 
     @property
-    def is_proved(self) -> bool:
-        """Whether its own data prove that the watched calibration does not hold.
-
-        Each number fitted to them raises their log likelihood by one more than that of other data
-        (Akaike, IEEE Trans. Automatic Control 19, 1974).
-        """
+    def proof(self) -> str:
+        """Why its own data prove that the calibration in force does not hold; empty if not."""
         if self.ratio is None:
-            return False
-        fitted = 3 if self.kind is CandidateKind.IRON else PARAMETERS
-        return bool(reason_to_accept(self.kind, self.ratio, fitted))
+            return ""
+        beyond_iron = PARAMETERS - 3 if self.kind is CandidateKind.ALL else 0
+        return reason_to_accept(self.kind, self.ratio, beyond_iron)
 
     @property
     def sectors(self) -> int:
@@ -100,11 +96,9 @@ class DriveCandidate:
 
 
 def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
-    """Whether a candidate differs significantly from the calibration in force."""
-    apart = difference(in_force, candidate.calibration)
-    return apart > SELF_CALIBRATION.differs * math.hypot(
-        candidate.sigma, calibration_sigma(in_force)
-    )
+    """Whether a candidate differs from the calibration in force by more than chance."""
+    sigma = math.hypot(candidate.sigma, calibration_sigma(in_force))
+    return difference(in_force, candidate.calibration) > CHANGE.chance * sigma
 
 
 def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
@@ -154,11 +148,6 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-Contests = Mapping[CandidateKind, tuple[DriveCandidate, ...]]
-"""The candidates that are compared with the calibration in force, each with all its fits, the
-newest last. Each fit corrects the data after it; data count from the end of the first one."""
-
-
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
     """Whether the twelve numbers are the same."""
     if one is None or other is None:
@@ -169,15 +158,15 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio, fitted: int = 0) -> str:
     """Return in words why a calibration is better than the one in force; empty if not proved.
 
-    An earlier calibration was fitted to other data: steel that imitates it is most unlikely.
-    `fitted` is how many numbers were fitted to the data of the ratio.
+    `fitted` numbers besides the hard iron were fitted to the data of the ratio. Each raises their
+    log likelihood by one more than that of other data (Akaike, IEEE Trans. Automatic Control 19,
+    1974).
     """
-    is_iron = kind is CandidateKind.IRON
-    enough = SELF_CALIBRATION.iron_proof if is_iron else SELF_CALIBRATION.likelihood_proof
-    gain = ratio.gain
-    if kind is not CandidateKind.EARLIER:
-        gain = ratio.gain_over_steel(SELF_CALIBRATION.roadside)
-    if gain - fitted <= enough or min(ratio.halves) <= 0.0:
+    local = SELF_CALIBRATION.local
+    if kind is CandidateKind.EARLIER:
+        # That a disturbance has the very effect of a calibration from other data is as rare again.
+        local *= local
+    if ratio.log_odds(local) - fitted <= SELF_CALIBRATION.proof:
         return ""
     return (
         f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "
@@ -196,7 +185,8 @@ class DriveJob:
     """Seconds of the newest driving to which all twelve numbers are fitted."""
     changed: float = -math.inf
     """Clock of the last proved change, seconds: no fit uses data from before it."""
-    contests: Contests = field(default_factory=dict)
+    contests: Mapping[CandidateKind, DriveCandidate] = field(default_factory=dict)
+    """The candidates that are compared with `in_force` on the data after their end."""
     watched: Calibration | None = None  # the one in force, also while another one is proposed
 
 
@@ -231,7 +221,7 @@ class Watch:
         fits = [*found.candidates, *(() if change is None else (change,))]
         judged = [(fit, tuple(checks_of(fit, old))) for fit in fits]
         differing = [(fit, checks) for fit, checks in judged if any(map(_contradicts, checks))]
-        if any(fit.is_proved for fit, _ in differing):
+        if any(fit.proof for fit, _ in differing):
             _, findings = min(differing, key=_rank)
             since = self.since if self.is_stale else max(fit.start for fit, _ in differing)
             return Watch(True, True, findings, "", since, contradicted_at=clock, clock=clock)
@@ -288,23 +278,12 @@ def checks_of(fit: DriveCandidate, old: Calibration) -> Iterator[Check]:
     chance = CHANGE.chance * math.hypot(fit.sigma, calibration_sigma(old))
     size = new.evidence.figure(Figure.LOCAL_FIELD, 0.0) / old.strength
     local = CHANGE.chance * local_chance(size, fit.seconds)
-    found = [_of(new.correction, new, old, chance, local)]
-    if fit.in_motion is not None:
-        found.append(_of(fit.in_motion, new, old, chance, local))
-    shown = 1 if fit.kind is CandidateKind.IRON else None
-    for each in list(zip(*found, strict=True))[:shown]:
-        yield min(each, key=lambda check: check.value or 0.0)
-
-
-def _of(
-    correction: Correction, new: Calibration, old: Calibration, chance: float, local: float
-) -> tuple[Check, ...]:
-    """Return the checks by a correction in the place of the new calibration."""
     place = new.strength, new.inclination
-    return (
-        compared(old.correction, correction, *place, chance),
-        *check_place(old, correction, *place, local),
-    )
+    fits = [each for each in (new.correction, fit.in_motion) if each is not None]
+    found = [checks_of_change(old, each, place, chance, local) for each in fits]
+    shown = 1 if fit.kind is CandidateKind.IRON else None
+    for checks in list(zip(*found, strict=True))[:shown]:
+        yield min(checks, key=lambda check: check.value or 0.0)
 
 
 def _contradicts(finding: Check) -> bool:

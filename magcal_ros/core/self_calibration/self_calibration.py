@@ -50,7 +50,7 @@ class SelfCalibration:
         self.watch = Watch()  # of the calibration in force
         self._in_force: Calibration | None = None
         self._before: Calibration | None = None  # in force before it
-        self._contests: dict[CandidateKind, tuple[DriveCandidate, ...]] = {}
+        self._contests: dict[CandidateKind, DriveCandidate] = {}
         self.decisions: deque[Decision] = deque(maxlen=REMEMBERED)  # the oldest first
         self._changed = -math.inf  # clock of the last proved change of the robot
         self._looked = -math.inf
@@ -66,7 +66,7 @@ class SelfCalibration:
         if self.proposal is not None:
             return "a calibration is proposed: call ~/accept to put it in force"
         contests = self._contests.items()
-        probation = [fits[-1].in_words for kind, fits in contests if kind is not EARLIER]
+        probation = [each.in_words for kind, each in contests if kind is not EARLIER]
         if probation:
             return f"on probation: {' and '.join(probation)}"
         if self.recorder.rests:
@@ -120,7 +120,7 @@ class SelfCalibration:
 
     def _compare_earlier(self, calibration: Calibration, since: float) -> None:
         """Compare an earlier calibration with the one in force, on the data from a clock on."""
-        self._contests[EARLIER] = (DriveCandidate(EARLIER, calibration, since, since),)
+        self._contests[EARLIER] = DriveCandidate(EARLIER, calibration, since, since)
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
         """Add a pair, which counts only if its IMU has a rate.
@@ -136,9 +136,8 @@ class SelfCalibration:
             return False
         wait = SELF_CALIBRATION.look_every
         if self.mode is Mode.OFF:
-            wait = SELF_CALIBRATION.watch_every
-        elif IRON in self._contests:
-            wait = 0.5 * SELF_CALIBRATION.look_every
+            # Half of the data of each fit is new.
+            wait = 0.5 * SELF_CALIBRATION.windows[0]
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 
@@ -154,7 +153,8 @@ class SelfCalibration:
             seconds = min(self.recorder.seconds, self.recorder.clock - since)
             full = [each for each in windows if each <= seconds] or [windows[0]]
             windows = (full[self._round % len(full)],)
-        log, contests = self.recorder.log(), dict(self._contests)
+        log = self.recorder.log()
+        contests = {kind: each for kind, each in self._contests.items() if kind is not IRON}
         return DriveJob(log, knowledge, in_force, windows, self._changed, contests, self._in_force)
 
     def fail(self) -> None:
@@ -182,57 +182,50 @@ class SelfCalibration:
         return made
 
     def _weigh(self, findings: DriveResult) -> list[Decision]:
-        in_force = self._compared
+        in_force, clock = self._compared, findings.clock
+        good = sorted(filter(self._is_believable, findings.candidates), key=lambda each: each.sigma)
         if in_force is None:
-            return self._begin(findings)
-        made = self._settled(findings, in_force)
+            return self._begin(clock, good[0]) if good else []
+        made = self._notice(findings, in_force) + self._settled(findings)
         if not _changes(made):
-            made += self._refined(findings, in_force)
+            made += self._refined(clock, good, in_force)
         if not _changes(made):
-            made += self._take_up(findings, in_force) + self._notice(findings, in_force)
+            made += self._take_up(clock, good, in_force)
         return made
 
-    def _begin(self, findings: DriveResult) -> list[Decision]:
+    def _begin(self, clock: float, best: DriveCandidate) -> list[Decision]:
         """Accept the first calibration if two windows agree."""
-        clock = findings.clock
-        good = [each for each in findings.candidates if self._is_believable(each)]
-        for candidate in sorted(good, key=lambda each: each.sigma):
-            (first,) = self._contests.get(ALL, (None,))
-            if first is None:
-                self._contests[ALL] = (candidate,)
-                words = f"{candidate.in_words}; a second one that agrees confirms it"
-                return [Decision(clock, DecisionKind.PROBATION, words)]
-            if candidate.end - first.end < 0.5 * SELF_CALIBRATION.look_every:
-                continue
-            apart = difference(first.calibration, candidate.calibration)
-            allowed = SELF_CALIBRATION.differs * math.hypot(first.sigma, candidate.sigma)
-            self._contests[ALL] = (candidate,)
-            if apart <= allowed:
-                words = (
-                    f"{candidate.in_words}: it agrees with the fit before it "
-                    f"({math.degrees(apart):.1f}° apart), and no calibration was in force"
-                )
-                return [self._change(clock, candidate.calibration, words)]
-        return []
+        first, self._contests[ALL] = self._contests.get(ALL), best
+        if first is None:
+            words = f"{best.in_words}; a second one that agrees confirms it"
+            return [Decision(clock, DecisionKind.PROBATION, words)]
+        if is_another(best, first.calibration):
+            return []
+        apart = math.degrees(difference(first.calibration, best.calibration))
+        words = (
+            f"{best.in_words}: it agrees with the fit before it ({apart:.1f}° apart), and no "
+            "calibration was in force"
+        )
+        return [self._change(clock, best.calibration, words)]
 
-    def _settled(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+    def _settled(self, findings: DriveResult) -> list[Decision]:
         """Put a proved calibration in force, and end contests that last too long."""
         made: list[Decision] = []
         since = findings.since_change
-        for kind, fits in list(self._contests.items()):
-            if kind is IRON and since is not None and is_another(since, in_force):
-                fits = self._contests[IRON] = (*fits, since)
-            ratio, candidate = findings.ratios.get(kind), fits[-1]
-            if ratio is None:
+        if since is not None and IRON in self._contests:
+            self._contests[IRON] = since
+        for kind, candidate in list(self._contests.items()):
+            ratio = findings.ratios.get(kind)
+            if kind is IRON:
+                why = candidate.proof if candidate is since else ""
+            elif ratio is None:
                 continue
-            why = reason_to_accept(kind, ratio)
+            else:
+                why = reason_to_accept(kind, ratio)
             if why and self._is_believable(candidate):
                 return [*made, self._accept(findings.clock, candidate, why)]
-            longest = SELF_CALIBRATION.longest_probation
-            if kind is EARLIER:
-                longest = SELF_CALIBRATION.longest_trial
-            seconds = findings.clock - fits[0].end
-            if seconds > longest:
+            seconds = findings.clock - candidate.end
+            if seconds > SELF_CALIBRATION.look_back:
                 del self._contests[kind]
                 made.append(_ended(findings.clock, candidate, seconds))
         return made
@@ -251,57 +244,48 @@ class SelfCalibration:
         words = f"the earlier calibration was better after all: {why}"
         return self._change(clock, candidate.calibration, words, DecisionKind.ROLLED_BACK)
 
-    def _refined(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
-        """Replace a calibration from driving by a fit to more data of the same drive."""
-        if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
+    def _refined(
+        self, clock: float, good: list[DriveCandidate], in_force: Calibration
+    ) -> list[Decision]:
+        """Replace a calibration by a much more certain one that agrees: their sigmas prove it."""
+        best = next((each for each in good if is_finer(each, in_force)), None)
+        is_driven = in_force.evidence.method == METHOD
+        if best is None or (is_driven and self.mode is Mode.PROPOSE):
             return []
-        for each in findings.candidates:
-            if self._is_believable(each) and is_finer(each, in_force):
-                known = math.degrees(known_sigma(in_force))
-                words = f"{each.in_words}, compared with ±{known:.1f}° before"
-                return [Decision(findings.clock, DecisionKind.REFINED, words, each.calibration)]
-        return []
+        known = math.degrees(known_sigma(in_force))
+        if is_driven:
+            words = f"{best.in_words}, compared with ±{known:.1f}° before"
+            return [Decision(clock, DecisionKind.REFINED, words, best.calibration)]
+        words = (
+            f"{best.in_words}: it agrees with the calibration {self._which}, which was known to "
+            f"±{known:.1f}°"
+        )
+        return [self._change(clock, best.calibration, words)]
 
-    def _take_up(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+    def _take_up(
+        self, clock: float, good: list[DriveCandidate], in_force: Calibration
+    ) -> list[Decision]:
         """Put a plausible candidate that differs from the calibration in force on probation."""
-        good = [
-            each
-            for each in findings.candidates
-            if each.kind is ALL
-            and self._is_believable(each)
-            and (is_another(each, in_force) or is_finer(each, in_force))
-        ]
-        if not good:
+        others = (each for each in good if each.kind is ALL and is_another(each, in_force))
+        best = next(others, None)
+        if best is None or ALL in self._contests:
             return []
-        best = min(good, key=lambda each: each.sigma)
-        if known_sigma(in_force) > SELF_CALIBRATION.largest_sigma and is_finer(best, in_force):
-            # Both are about as likely on held-out data: their sigmas are the proof.
-            known = math.degrees(known_sigma(in_force))
-            words = (
-                f"{best.in_words}: it agrees with the calibration {self._which}, which was known "
-                f"to ±{known:.1f}°"
-            )
-            return [self._change(findings.clock, best.calibration, words)]
-        if ALL in self._contests:
-            return []
-        self._contests[ALL] = (best,)
+        self._contests[ALL] = best
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
-        return [Decision(findings.clock, DecisionKind.PROBATION, words)]
+        return [Decision(clock, DecisionKind.PROBATION, words)]
 
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
-        if since is None or IRON in self._contests:
+        if since is None or IRON in self._contests or not is_another(since, in_force):
             return []
-        sigma = math.hypot(since.sigma, calibration_sigma(in_force))
-        apart = difference(in_force, since.calibration)
-        if apart < SELF_CALIBRATION.notice_differs * sigma:
-            return []
-        self._contests[IRON] = (since,)
+        self._contests[IRON] = since
         if self._before is not None:
             # If the iron is removed again, the calibration before it is valid again.
             self._compare_earlier(self._before, since.start)
+        sigma = math.hypot(since.sigma, calibration_sigma(in_force))
+        apart = difference(in_force, since.calibration)
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
@@ -311,13 +295,12 @@ class SelfCalibration:
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         if candidate.kind is EARLIER:
             return True
-        largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
+        largest = SELF_CALIBRATION.largest_sigma
         if candidate.kind is IRON and self._compared is not None:
-            few = SELF_CALIBRATION.fewest_for_iron
             # A calibration that is clearly wrong may be replaced by a rough one.
             apart = difference(self._compared, candidate.calibration)
             largest = max(largest, SELF_CALIBRATION.plainly * apart)
-        return candidate.sigma <= largest and candidate.sectors >= few
+        return candidate.sigma <= largest
 
     @property
     def _which(self) -> str:

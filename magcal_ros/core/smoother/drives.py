@@ -241,31 +241,18 @@ class LikelihoodRatio:
         """The ratio over all nodes."""
         return float(self.by_node.sum())
 
-    @property
-    def halves(self) -> tuple[float, float]:
-        """The ratio over the first and over the second half of the nodes."""
-        middle = len(self.by_node) // 2
-        return float(self.by_node[:middle].sum()), float(self.by_node[middle:].sum())
+    def log_odds(self, local: float) -> float:
+        """Return the ratio if the old calibration may come with a local disturbance.
 
-    @property
-    def by_sector(self) -> FloatArray:
-        """The ratio over the nodes of each of twelve sectors of heading, shape (12,)."""
-        return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
-
-    @property
-    def by_quarter(self) -> FloatArray:
-        """The ratio over three neighbouring sectors, for each of the first ones, shape (12,)."""
-        return np.asarray(sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4)))
-
-    def gain_over_steel(self, roadside: float) -> float:
-        """Return the ratio if the old calibration may come with roadside steel.
-
-        Steel on one side of all roads of one quarter of the headings, with the prior probability
-        `roadside`, explains the data there as well as the new calibration does.
+        With the prior probability `local`, the field was disturbed at one quarter of the headings,
+        as by steel on one side of all roads, or during one half of the time. The disturbance
+        explains the nodes there as well as the new calibration does.
         """
-        elsewhere = self.gain - self.by_quarter
-        steel = np.logaddexp.reduce(-elsewhere) + math.log(roadside / SECTORS)
-        return -float(np.logaddexp(math.log1p(-roadside) - self.gain, steel))
+        first = np.arange(len(self.by_node)) < len(self.by_node) // 2
+        quarters = (self.sector - np.arange(SECTORS)[:, None]) % SECTORS < SECTORS // 4
+        elsewhere = ~np.vstack([quarters, first, ~first]) @ self.by_node
+        disturbed = np.logaddexp.reduce(-elsewhere) + math.log(local / len(elsewhere))
+        return -float(np.logaddexp(math.log1p(-local) - self.gain, disturbed))
 
 
 def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:

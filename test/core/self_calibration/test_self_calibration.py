@@ -1,6 +1,7 @@
 """Self-calibration: candidates, probation, the calibration in force, and its return."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,11 +124,10 @@ def test_two_disagreeing_windows_give_no_calibration():
     assert keeper.note(findings(160.0, candidate(FAR, 160.0))) == [DecisionKind.APPLIED]
 
 
-@pytest.mark.parametrize("bad", [{"sigma": math.radians(4.0)}, {"sectors": 5}])
-def test_a_candidate_with_too_few_headings_is_not_used(bad):
+def test_an_uncertain_candidate_is_not_used():
     keeper = CalibrationStore()
     for clock in (120.0, 140.0, 160.0):
-        assert keeper.note(findings(clock, candidate(FAR, clock, **bad))) == []
+        assert keeper.note(findings(clock, candidate(FAR, clock, sigma=math.radians(4.0)))) == []
 
 
 def test_a_different_candidate_goes_on_probation_first():
@@ -140,7 +140,12 @@ def test_a_different_candidate_goes_on_probation_first():
 def test_an_unproved_candidate_is_dropped_after_a_time():
     keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
-    assert keeper.note(findings(310.0, all=ratio(0.0))) == [DecisionKind.DROPPED]
+    assert keeper.note(findings(370.0, all=ratio(0.0))) == [DecisionKind.DROPPED]
+
+
+def proved(fit, by=PROVED):
+    """A fit whose own data are likelier than with the calibration in force."""
+    return replace(fit, ratio=by)
 
 
 def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
@@ -150,21 +155,25 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
         for iron, clock, sigma in ((FAR, 120.0, 2.5), ((8e-6, 0.0, 0.0), 140.0, 2.0))
     )
     assert keeper.note(findings(120.0, since=first)) == [DecisionKind.NOTICED]
-    assert keeper.note(findings(140.0, since=last)) == []
-    (fits,) = keeper.machine.job(BOSTON).contests.values()
-    assert [fit.end for fit in fits] == [120.0, 140.0]
-    keeper.machine.fail()
-    assert keeper.note(findings(160.0, iron=PROVED)) == [DecisionKind.APPLIED]
+    assert keeper.note(findings(140.0, since=proved(last, ratio(0.0)))) == []
+    assert keeper.note(findings(140.0, since=proved(last))) == [DecisionKind.APPLIED]
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
+
+
+def test_iron_that_is_proved_at_once_is_reported_and_put_in_force():
+    keeper = CalibrationStore(calibration())
+    came = proved(candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON))
+    assert keeper.note(findings(120.0, since=came)) == [DecisionKind.NOTICED, DecisionKind.APPLIED]
 
 
 def test_a_proved_change_of_iron_waits_for_a_small_sigma():
     keeper = CalibrationStore(calibration())
-    vague = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON, math.radians(4.5))
-    keeper.note(findings(120.0, since=vague))
-    assert keeper.note(findings(140.0, iron=PROVED)) == []
-    clear = candidate((10e-6, 0.0, 0.0), 160.0, CandidateKind.IRON, math.radians(3.5))
-    assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [DecisionKind.APPLIED]
+    vague, clear = (
+        proved(candidate((10e-6, 0.0, 0.0), clock, CandidateKind.IRON, math.radians(sigma)))
+        for clock, sigma in ((140.0, 4.5), (160.0, 3.5))
+    )
+    assert keeper.note(findings(140.0, since=vague)) == [DecisionKind.NOTICED]
+    assert keeper.note(findings(160.0, since=clear)) == [DecisionKind.APPLIED]
 
 
 def test_removed_iron_restores_the_previous_calibration():
@@ -172,11 +181,11 @@ def test_removed_iron_restores_the_previous_calibration():
     keeper = CalibrationStore(old)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     keeper.note(findings(120.0, since=came))
-    keeper.note(findings(140.0, since=came, iron=PROVED))
+    keeper.note(findings(140.0, since=proved(came)))
     keeper.note(findings(460.0, earlier=ratio(0.0)))
     went = candidate((0.5e-6, 0.0, 0.0), 900.0, CandidateKind.IRON)
     assert keeper.note(findings(900.0, since=went)) == [DecisionKind.NOTICED]
-    assert keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER][0].end == went.start
+    assert keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER].end == went.start
     keeper.machine.fail()
     assert keeper.note(findings(910.0, earlier=PROVED)) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
@@ -187,7 +196,7 @@ def test_a_proposal_is_made_once():
     keeper = CalibrationStore(calibration(), Mode.PROPOSE)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     keeper.note(findings(120.0, since=came))
-    assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [DecisionKind.PROPOSED]
+    assert keeper.note(findings(140.0, since=proved(came))) == [DecisionKind.PROPOSED]
     assert keeper.note(findings(160.0, since=came)) == []
 
 
@@ -220,7 +229,7 @@ def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    (earlier,) = keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER]
+    earlier = keeper.machine.job(BOSTON).contests[CandidateKind.EARLIER]
     assert earlier.calibration is old
     keeper.machine.fail()
     assert keeper.note(findings(260.0, earlier=PROVED)) == [DecisionKind.DROPPED]

@@ -48,7 +48,7 @@ def test_iron_added_half_a_minute_ago_is_found_with_its_time(seed):
     drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
     found = changed(drive)
     since = found.since - drive.time[0]
-    assert found.gain > SELF_CALIBRATION.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice
     assert since == pytest.approx(CAME, abs=1.5)
     with_iron = drive.vehicle.with_iron(np.array(iron)).robot
     assert heading_error(in_force(drive).correction, with_iron) > 10.0
@@ -68,7 +68,7 @@ def test_an_uncertain_moment_enlarges_the_sigma(monkeypatch):
 
 @pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_streets_are_no_change(seed):
-    assert gain(driven(seed, 150.0)) < SELF_CALIBRATION.notice_proof
+    assert gain(driven(seed, 150.0)) < SELF_CALIBRATION.notice
 
 
 @pytest.mark.nightly
@@ -76,7 +76,7 @@ def test_the_uncertainty_of_the_calibration_is_no_change():
     drive = driven(4, 120.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
-    assert rough < SELF_CALIBRATION.notice_proof < sure
+    assert rough < SELF_CALIBRATION.notice < sure
 
 
 def recorded(drive, added):
@@ -105,7 +105,7 @@ def test_iron_added_at_rest_is_found_before_a_turn(quarter):
     iron = 10e-6 * np.array([math.cos(way), math.sin(way), 0.0])
     log = recorded(drive, np.outer(drive.time > start - 4.0, iron))
     found = find_change(drive_nodes(log, NOBODY), in_force(drive), BOSTON)
-    assert found.gain > SELF_CALIBRATION.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice
     came = found.fit.posterior.correction.hard_iron - in_force(drive).correction.hard_iron
     assert came == pytest.approx(iron, abs=3e-6)
 
@@ -116,4 +116,4 @@ def test_steel_beside_the_road_is_not_taken_for_added_iron():
     steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])
     nodes = drive_nodes(recorded(drive, steel), NOBODY)
     found = find_change(nodes, in_force(drive), BOSTON)
-    assert found is None or found.gain < SELF_CALIBRATION.notice_proof
+    assert found is None or found.gain < SELF_CALIBRATION.notice
