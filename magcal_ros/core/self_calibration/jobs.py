@@ -95,10 +95,20 @@ class DriveCandidate:
         )
 
 
+def deviation(candidate: DriveCandidate, in_force: Calibration) -> float:
+    """Return the difference of a candidate from the calibration in force, in sigmas of both."""
+    sigma = math.hypot(candidate.sigma, calibration_sigma(in_force))
+    return difference(in_force, candidate.calibration) / sigma
+
+
 def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
     """Whether a candidate differs from the calibration in force by more than chance."""
-    sigma = math.hypot(candidate.sigma, calibration_sigma(in_force))
-    return difference(in_force, candidate.calibration) > CHANGE.chance * sigma
+    return deviation(candidate, in_force) > CHANGE.chance
+
+
+def is_plain(candidate: DriveCandidate, in_force: Calibration) -> bool:
+    """Whether a candidate differs plainly from the calibration in force."""
+    return deviation(candidate, in_force) >= SELF_CALIBRATION.plainly
 
 
 def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:

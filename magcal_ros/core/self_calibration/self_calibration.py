@@ -28,6 +28,7 @@ from magcal_ros.core.self_calibration.jobs import (
     difference,
     is_another,
     is_finer,
+    is_plain,
     is_same,
     reason_to_accept,
 )
@@ -278,7 +279,7 @@ class SelfCalibration:
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
-        if since is None or IRON in self._contests or not is_another(since, in_force):
+        if since is None or IRON in self._contests or not is_plain(since, in_force):
             return []
         self._contests[IRON] = since
         if self._before is not None:
@@ -295,12 +296,11 @@ class SelfCalibration:
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         if candidate.kind is EARLIER:
             return True
-        largest = SELF_CALIBRATION.largest_sigma
-        if candidate.kind is IRON and self._compared is not None:
-            # A calibration that is clearly wrong may be replaced by a rough one.
-            apart = difference(self._compared, candidate.calibration)
-            largest = max(largest, SELF_CALIBRATION.plainly * apart)
-        return candidate.sigma <= largest
+        old = self._compared
+        if candidate.kind is IRON and old is not None and is_plain(candidate, old):
+            # A calibration that is plainly wrong may be replaced by a rough one.
+            return True
+        return candidate.sigma <= SELF_CALIBRATION.largest_sigma
 
     @property
     def _which(self) -> str:

@@ -26,7 +26,9 @@ class SelfCalibrationTuning:
     put in force, or the one in force no longer holds: eight for the prior odds against a change,
     and one for each of three fitted numbers of hard iron."""
     largest_sigma: float = math.radians(3.0)  # of a candidate, radians
-    plainly: float = 0.2  # or this part of the error of the calibration in force, if it is larger
+    plainly: float = 4.0
+    """Sigmas by which a changed hard iron must differ to be reported. If it is also proved, it is
+    used whatever its own sigma."""
     much_better: float = 0.6  # ratio of sigmas below which a candidate that agrees is used
 
 

@@ -166,14 +166,15 @@ def test_iron_that_is_proved_at_once_is_reported_and_put_in_force():
     assert keeper.note(findings(120.0, since=came)) == [DecisionKind.NOTICED, DecisionKind.APPLIED]
 
 
-def test_a_proved_change_of_iron_waits_for_a_small_sigma():
+def test_a_proved_change_of_iron_waits_until_it_is_plain():
     keeper = CalibrationStore(calibration())
     vague, clear = (
         proved(candidate((10e-6, 0.0, 0.0), clock, CandidateKind.IRON, math.radians(sigma)))
-        for clock, sigma in ((140.0, 4.5), (160.0, 3.5))
+        for clock, sigma in ((140.0, 5.5), (160.0, 3.5))
     )
-    assert keeper.note(findings(140.0, since=vague)) == [DecisionKind.NOTICED]
-    assert keeper.note(findings(160.0, since=clear)) == [DecisionKind.APPLIED]
+    assert keeper.note(findings(140.0, since=vague)) == []
+    made = keeper.note(findings(160.0, since=clear))
+    assert made == [DecisionKind.NOTICED, DecisionKind.APPLIED]
 
 
 def test_removed_iron_restores_the_previous_calibration():
