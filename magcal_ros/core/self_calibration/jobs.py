@@ -180,7 +180,7 @@ def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio, fitted: int = 
         return ""
     return (
         f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "
-        f"{ratio.gain:.0f} units of log likelihood and in both halves of the time"
+        f"{ratio.gain:.0f} units of log likelihood, even if a part of it was disturbed"
     )
 
 

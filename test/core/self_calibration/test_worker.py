@@ -82,7 +82,7 @@ def test_the_correct_one_is_likelier_in_both_halves(whole):
     middle = len(whole.by_node) // 2
     assert whole.gain > 10.0
     assert min(whole.by_node[:middle].sum(), whole.by_node[middle:].sum()) > 5.0
-    assert "in both halves" in reason_to_accept(CandidateKind.IRON, whole)
+    assert "even if a part of it was disturbed" in reason_to_accept(CandidateKind.IRON, whole)
 
 
 def test_too_little_data_give_an_empty_ratio(road):
