@@ -187,7 +187,9 @@ class SelfCalibration:
         good = sorted(filter(self._is_believable, findings.candidates), key=lambda each: each.sigma)
         if in_force is None:
             return self._begin(clock, good[0]) if good else []
-        made = self._notice(findings, in_force) + self._settled(findings)
+        made = self._settled(findings)
+        if not _changes(made):
+            made += self._notice(findings, in_force)
         if not _changes(made):
             made += self._refined(clock, good, in_force)
         if not _changes(made):
@@ -277,7 +279,7 @@ class SelfCalibration:
         return [Decision(clock, DecisionKind.PROBATION, words)]
 
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
-        """Report a change of hard iron, and put the new hard iron on probation."""
+        """Report a change of hard iron, and put the new hard iron in force or on probation."""
         since = findings.since_change
         if since is None or IRON in self._contests or not is_plain(since, in_force):
             return []
@@ -291,7 +293,11 @@ class SelfCalibration:
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
         )
-        return [Decision(findings.clock, DecisionKind.NOTICED, words)]
+        made = [Decision(findings.clock, DecisionKind.NOTICED, words)]
+        if since.proof:
+            # It is plain, so its sigma does not matter.
+            made.append(self._accept(findings.clock, since, since.proof))
+        return made
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         if candidate.kind is EARLIER:
