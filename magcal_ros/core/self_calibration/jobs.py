@@ -95,20 +95,12 @@ class DriveCandidate:
         )
 
 
-def deviation(candidate: DriveCandidate, in_force: Calibration) -> float:
-    """Return the difference of a candidate from the calibration in force, in sigmas of both."""
+def is_another(
+    candidate: DriveCandidate, in_force: Calibration, sigmas: float = CHANGE.chance
+) -> bool:
+    """Whether a candidate differs from the calibration in force by more than so many sigmas."""
     sigma = math.hypot(candidate.sigma, calibration_sigma(in_force))
-    return difference(in_force, candidate.calibration) / sigma
-
-
-def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
-    """Whether a candidate differs from the calibration in force by more than chance."""
-    return deviation(candidate, in_force) > CHANGE.chance
-
-
-def is_plain(candidate: DriveCandidate, in_force: Calibration) -> bool:
-    """Whether a candidate differs plainly from the calibration in force."""
-    return deviation(candidate, in_force) >= SELF_CALIBRATION.plainly
+    return difference(in_force, candidate.calibration) > sigmas * sigma
 
 
 def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
@@ -228,25 +220,17 @@ class Watch:
     def after(self, found: DriveResult, old: Calibration) -> Watch:
         """Return the state after a job; `old` is in force since the beginning of its data."""
         change, clock = found.since_change, found.clock
-        fits = [*found.candidates, *(() if change is None else (change,))]
-        judged = [(fit, tuple(checks_of(fit, old))) for fit in fits]
-        differing = [(fit, checks) for fit, checks in judged if any(map(_contradicts, checks))]
-        if any(fit.proof for fit, _ in differing):
-            _, findings = min(differing, key=_rank)
-            since = self.since if self.is_stale else max(fit.start for fit, _ in differing)
-            return Watch(True, True, findings, "", since, contradicted_at=clock, clock=clock)
-        # Data from before a change dilute it.
-        agreeing = [
-            (fit, checks)
-            for fit, checks in judged
-            if (fit, checks) not in differing
-            and fit.kind is CandidateKind.ALL
-            and fit.start >= self.contradicted_at
-            and checks[0].is_judged
-        ]
-        if agreeing:
-            _, findings = min(agreeing, key=_rank)
-            return Watch(was_judged=True, findings=findings, missing="", clock=clock)
+        fits = sorted((*found.candidates, *(() if change is None else (change,))), key=_rank)
+        checks = {fit: tuple(checks_of(fit, old)) for fit in fits}
+        differing = [fit for fit in fits if any(map(_contradicts, checks[fit]))]
+        if any(fit.proof for fit in differing):
+            since = self.since if self.is_stale else max(fit.start for fit in differing)
+            return Watch(True, True, checks[differing[0]], "", since, clock, clock)
+        for fit in fits:
+            # Data from before a change dilute it.
+            is_whole = fit.kind is CandidateKind.ALL and fit.start >= self.contradicted_at
+            if is_whole and fit not in differing and checks[fit][0].is_judged:
+                return Watch(was_judged=True, findings=checks[fit], missing="", clock=clock)
         missing = SUSPECTED if differing else found.refusal or TOO_UNCERTAIN
         return replace(self, clock=clock, missing=missing)
 
@@ -268,9 +252,9 @@ class Watch:
         return "The calibration holds on the headings of the last minutes."
 
 
-def _rank(each: tuple[DriveCandidate, tuple[Check, ...]]) -> tuple[bool, float]:
+def _rank(fit: DriveCandidate) -> tuple[bool, float]:
     """Return the order of fits: one of the hard iron alone shows no other change."""
-    return each[0].kind is CandidateKind.IRON, each[0].sigma
+    return fit.kind is CandidateKind.IRON, fit.sigma
 
 
 def contradicts(fit: DriveCandidate, old: Calibration) -> bool:

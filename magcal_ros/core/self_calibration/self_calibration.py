@@ -28,7 +28,6 @@ from magcal_ros.core.self_calibration.jobs import (
     difference,
     is_another,
     is_finer,
-    is_plain,
     is_same,
     reason_to_accept,
 )
@@ -280,8 +279,8 @@ class SelfCalibration:
 
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron in force or on probation."""
-        since = findings.since_change
-        if since is None or IRON in self._contests or not is_plain(since, in_force):
+        since, plainly = findings.since_change, SELF_CALIBRATION.plainly
+        if since is None or IRON in self._contests or not is_another(since, in_force, plainly):
             return []
         self._contests[IRON] = since
         if self._before is not None:
@@ -302,8 +301,8 @@ class SelfCalibration:
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         if candidate.kind is EARLIER:
             return True
-        old = self._compared
-        if candidate.kind is IRON and old is not None and is_plain(candidate, old):
+        old, plainly = self._compared, SELF_CALIBRATION.plainly
+        if candidate.kind is IRON and old is not None and is_another(candidate, old, plainly):
             # A calibration that is plainly wrong may be replaced by a rough one.
             return True
         return candidate.sigma <= SELF_CALIBRATION.largest_sigma
