@@ -138,6 +138,8 @@ class SelfCalibration:
         if self.mode is Mode.OFF:
             # Half of the data of each fit is new.
             wait = 0.5 * SELF_CALIBRATION.windows[0]
+        elif IRON in self._contests:
+            wait = 0.5 * SELF_CALIBRATION.look_every
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 

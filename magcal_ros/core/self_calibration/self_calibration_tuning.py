@@ -10,7 +10,8 @@ from dataclasses import dataclass
 class SelfCalibrationTuning:
     """Priors and limits of self-calibration; seconds are of movement."""
 
-    look_every: float = 20.0  # seconds between two jobs
+    look_every: float = 20.0
+    """Seconds between two jobs; half of it while a changed hard iron is on probation."""
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
     """Seconds of driving to which all twelve numbers are fitted."""
     look_back: float = 240.0
