@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from traceback import walk_tb
 from typing import Protocol
 
-from magcal_ros.core.session.turn_machine import Conclusion
-
 PAUSE = 10.0  # seconds between two lines on one subject
 
 LASTING = 3.0
@@ -54,8 +52,6 @@ class Announcer:
         self._lines: dict[str, _Line] = {}
         self._wrong_since: dict[str, float] = {}
         self._complained_at: dict[str, float] = {}
-        self._turning = False
-        self._answer: Conclusion | None = None
 
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
         """Log a line on a subject if it differs from the line that was logged last.
@@ -88,15 +84,6 @@ class Announcer:
                 logged_at[kind] = now
                 self._log.warning(found[kind])
         self._complained_at = logged_at
-
-    def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
-        """Log the start of a turn, and the message of each new answer."""
-        if answer is not None and answer is not self._answer:
-            self._answer, self._turning = answer, False
-            self._log.info(f"the turn is over: {answer.message}")
-        elif turning and not self._turning:
-            self._turning = True
-            self._log.info("a turn begins")
 
     def _say_if_due(self, line: _Line) -> None:
         now = self._clock()

@@ -73,7 +73,6 @@ class CalibrationStore:
         self.origin: Origin | None = None
         self.problem = ""  # the last failure with the file; empty after a success
         self._frame, self._was_received, self._was_named = "", False, False
-        self._last_read: tuple[object, LoadedCalibration] | None = None
         self._is_reading = False
         self._found: OrderedDict[str, LoadedCalibration | None] = OrderedDict()
         self._loads_files = True  # without a call of ~/load
@@ -153,17 +152,14 @@ class CalibrationStore:
         self._files.run(lambda: self.read(chosen, frame), done, done)
 
     def read(self, chosen: str, frame: str) -> LoadedCalibration:
-        """Read the file of a sensor, in any thread; an unchanged file is not read again.
+        """Read the file of a sensor, in any thread.
 
         Raises FileError if the file is missing, damaged, no calibration or of another sensor.
         """
         try:
             path = self._path(frame, chosen)
-            key = with_time_limit(lambda: _key_of(path), path)
-            if self._last_read is None or key is None or self._last_read[0] != key:
-                found = with_time_limit(lambda: read_calibration(path), path)
-                self._last_read = key, LoadedCalibration(path, *found)
-            loaded = self._last_read[1]
+            found = with_time_limit(lambda: read_calibration(path), path)
+            loaded = LoadedCalibration(path, *found)
             _require_sensor(path, loaded.origin, frame)
         except FileError:
             if chosen in ("", self._given):
@@ -278,15 +274,6 @@ class CalibrationStore:
             self.reset()
             self.problem = str(error)
             self._log.error(str(error))
-
-
-def _key_of(path: Path) -> object:
-    """Return a key that changes with the file; None if there is no access to the file."""
-    try:
-        about = path.stat()
-    except (OSError, ValueError):
-        return None
-    return path, about.st_mtime_ns, about.st_size
 
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:

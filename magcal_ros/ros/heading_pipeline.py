@@ -12,7 +12,7 @@ from dataclasses import field as member
 from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_elsewhere, resolve
+from magcal_ros.core.earth_field.reference import Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
@@ -26,12 +26,11 @@ from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import identifier
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.calibration_store import CalibrationStore
-from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import BackgroundThread, SensorGroup
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.vehicle import Motors, Travel
 from magcal_ros.ros.wire import FieldArrival
 
 SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
@@ -54,16 +53,16 @@ class Sensor:
     messages: int = 0
     publishers: int = 1
     changes: int = 0
-    _changes_at_look: tuple[int, int] = (0, 0)
     _frame_before: str = ""
-    _counts: deque[tuple[float, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
+    _looks: deque[tuple[float, int, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
+    """Time, messages and changes of the frame at the last looks."""
 
     @property
     def rate(self) -> float:
         """Rate of the messages over the last seconds, Hz."""
-        if len(self._counts) < 2:
+        if len(self._looks) < 2:
             return 0.0
-        (then, before), (now, after) = self._counts[0], self._counts[-1]
+        (then, before, _), (now, after, _) = self._looks[0], self._looks[-1]
         return (after - before) / max(now - then, 1e-9)
 
     def note_message(self, frame: str) -> bool:
@@ -79,10 +78,10 @@ class Sensor:
         self.frame = frame
         return True
 
-    def look(self) -> None:
-        """Note, once a second, the numbers of messages and of changes of the frame."""
-        self._counts.append((self.clock(), self.messages))
-        self._changes_at_look = (self._changes_at_look[1], self.changes)
+    def look(self, publishers: int = 1) -> None:
+        """Note the numbers of publishers, messages and changes of the frame, once a second."""
+        self.publishers = publishers
+        self._looks.append((self.clock(), self.messages, self.changes))
 
     def age(self) -> float:
         """Return seconds since the last message; infinite if none came."""
@@ -98,7 +97,8 @@ class Sensor:
             return f"{self.topic} has been silent for {silent:.0f} s: check its driver and cable"
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
-        if self.changes - self._changes_at_look[0] > 1:
+        changes_before = self._looks[-2][2] if len(self._looks) > 1 else 0
+        if self.changes - changes_before > 1:
             frames = map(identifier, sorted((self._frame_before, self.frame)))
             names = " and ".join(map(repr, frames))
             return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
@@ -116,12 +116,9 @@ class Inputs:
         default_factory=lambda: deque(maxlen=DROP_WINDOW)
     )
 
-    def look(self, count_publishers: Callable[[str], int]) -> None:
-        """Note, once a second, the counts of messages and the numbers of publishers."""
+    def look(self) -> None:
+        """Note, once a second, the counts of messages and of dropped samples."""
         self._earlier.append(self._received())
-        for sensor in (self.imu, self.field):
-            sensor.publishers = count_publishers(sensor.topic)
-            sensor.look()
 
     def complaints(self) -> list[str]:
         """Return all faults of the inputs, in words."""
@@ -141,19 +138,16 @@ class Inputs:
 
 INCOMPLETE_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
-FIX_PAUSE = 0.2  # seconds after an evaluation within which a fix causes no new one
-
 
 class ReferenceSource:
-    """Subscribes to gps/fix and keeps the reference field up to date."""
+    """Keeps the reference field up to date; `fixes` takes those of a receiver."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
         self._node, self._table = node, table
-        self._fixes = Fixes()
+        self.fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
         self._announcer = Announcer(node.get_logger(), lasting=0.0)
-        self._looked = -FIX_PAUSE
         self._reference = Reference(ReferenceField(), "unknown")
         self.refresh()
 
@@ -175,8 +169,7 @@ class ReferenceSource:
         self.refresh()
 
     def refresh(self) -> None:
-        """Evaluate parameters, place and date again, and log changes."""
-        self._looked = time.monotonic()
+        """Evaluate parameters, place and date again, and log changes; about once a second."""
         before, self._reference = self._reference, self._resolve()
         say = self._announcer
         say.complain(self._reference.complaints)
@@ -190,11 +183,11 @@ class ReferenceSource:
     def _resolve(self) -> Reference:
         settings = self._settings = self._table.settings
         given = settings.knowledge.reference
-        place = settings.given.place or self._fixes.place
+        place = settings.given.place or self.fixes.place
         found = resolve(given, settings.given.local, place, None if place is None else self._year())
         notes = list(found.complaints)
         if settings.given.place is not None or not given.is_known:
-            notes += self._fixes.complaints(settings.given.place)
+            notes += self.fixes.complaints(settings.given.place)
         if settings.given.half_place:
             notes.append(INCOMPLETE_PLACE)
         if self._calibration is not None:
@@ -204,15 +197,7 @@ class ReferenceSource:
     def _year(self) -> float:
         """Return the date to a tenth of a year: of fix or node's clock, else of the machine's."""
         clock = self._node.get_clock().now().nanoseconds * 1e-9
-        return round(year_of((self._fixes.stamp, clock), time.time()), 1)
-
-    def on_fix(self, fix: Fix) -> None:
-        """Take a fix of a receiver."""
-        news = self._fixes.add(fix)
-        # At most one evaluation of the model per pause, also with a faulty receiver; the heartbeat
-        # evaluates again.
-        if news and time.monotonic() - self._looked >= FIX_PAUSE:
-            self.refresh()
+        return round(year_of((self.fixes.stamp, clock), time.time()), 1)
 
 
 FIRST = 1  # number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`
@@ -229,14 +214,13 @@ class HeadingPipeline:
         self.up = UpFollower()
         self.reference = ReferenceSource(node, table)
         self.frames = SensorFrames(node, lambda: table.settings)
-        self.travel = Travel(node, self.fits, self.sensor_group, self.reference.on_fix)
+        self.travel = Travel(node, self.fits, self.sensor_group, self.reference.fixes.add)
         self.motors = Motors(node, self.up, self.travel)
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
         self.compasses = SeveralCompasses()
         self.leading: Calibration | None = None  # of the calibrated magnetometer of lowest number
         self._origin: Origin | None = None
-        self._in_force: dict[int, Calibration | None] = {}
 
     @property
     def settings(self) -> Settings:
@@ -246,9 +230,7 @@ class HeadingPipeline:
     def use(self, stores: Mapping[int, CalibrationStore]) -> None:
         """Use the calibrations in force; the keys are the numbers of the magnetometers."""
         for number, store in stores.items():
-            if store.calibration is not self._in_force.get(number):
-                self._in_force[number] = store.calibration
-                self.compasses.put_in_force(number, store.calibration)
+            self.compasses.put_in_force(number, store.calibration)
         in_force = [number for number, store in stores.items() if store.calibration is not None]
         self.fused.is_needed = any(number > FIRST for number in in_force)
         leader = stores[min(in_force)] if in_force else None

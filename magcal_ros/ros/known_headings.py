@@ -54,7 +54,6 @@ class HeadingTopic:
         self.collected: list[HeadingSample] | None = None  # headings during a collection
         self._received_at = -math.inf
         self._collector: HeadingCollector | None = None
-        self._is_fitting = False
         self._missed, self._gap = 0, 0.0
         self._fault = self._answer = self._doubt = ""
         self.subscription = node.create_subscription(
@@ -116,7 +115,7 @@ class HeadingTopic:
         settings = self._pipeline.current_settings()
         north = settings.heading_is_true, settings.knowledge.reference
         is_enough = collector.on_field(sample, view.pose[0], *north)
-        if is_enough and collector.log is not None and not self._is_fitting:
+        if is_enough and collector.log is not None:
             self._fit(settings, collector.log)
 
     def _on_heading(self, data: bytes) -> None:
@@ -150,7 +149,6 @@ class HeadingTopic:
             self._gap = yaw.last_heading_gap
 
     def _fit(self, settings: Settings, log: HeadingLog) -> None:
-        self._is_fitting = True
         measurements = log.take()
 
         def work() -> tuple[Outcome, str]:
@@ -161,12 +159,10 @@ class HeadingTopic:
         self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        self._is_fitting = False
         if not isinstance(error, WorkerStopped):
             self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
-        self._is_fitting = False
         if self._collector is None or log is not self._collector.log:
             return
         self._answer, self._doubt = outcome.verdict.summary, north

@@ -24,11 +24,11 @@ from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.session import TurnRequest
 from magcal_ros.files.default_paths import identifier
 from magcal_ros.ros.calibration_store import CalibrationStore, Tell
+from magcal_ros.ros.guard import Rotator
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.rotator import Rotator
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable, read_field
 from magcal_ros.ros.worker_process import WorkerProcess

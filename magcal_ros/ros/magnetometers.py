@@ -88,9 +88,13 @@ class Magnetometers:
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
         """Update the magnetometers that publish, once a second."""
+        # All have the same IMU.
+        sensors = [self.active[0].inputs.imu, *(each.inputs.field for each in self.active)]
+        for sensor in sensors:
+            sensor.look(count_publishers(sensor.topic))
         for each in self.active:
             each.inputs.streams.max_gap = settings.max_gap
-            each.inputs.look(count_publishers)
+            each.inputs.look()
             if not settings.accumulate:
                 each.control.turn.forget()
 

@@ -14,7 +14,6 @@ import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
 from magcal_ros.processes import bound_memory, leave_out_current_folder, use_one_thread
@@ -79,8 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         node = Calibrator()
         bound_memory(node.get_parameter("memory_limit_mb").value)
         _spin(node, signals)
-    except ExternalShutdownException:
-        pass
     except Exception:
         # If the context was shut down during a callback, the error is no fault.
         if rclpy.ok():

@@ -14,17 +14,17 @@ from std_msgs.msg import String
 
 from magcal_ros.core.samples.streams import DropReason, FieldSample
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
-from magcal_ros.core.session.turn_machine import Conclusion, TurnState
+from magcal_ros.core.session.turn_machine import Conclusion
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
 from magcal_ros.ros.calibration_store import Tell
+from magcal_ros.ros.guard import PERIOD, Rotator
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
 from magcal_ros.ros.magnetometers import Ask, Magnetometers, at_once, offer_services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
-from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SENSOR_DATA, Spinner
@@ -40,7 +40,6 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
-        self._sensors = "", ""
         self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._table = Parameters(self)
@@ -156,18 +155,16 @@ class Calibrator(Node):
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Note the first message of a sensor, or a new frame."""
         self._magnetometers.add(magnetometer)
-        if magnetometer is self._first:
-            imu, field = self._inputs.imu.frame, self._inputs.field.frame
-            self._frames.note_sensors(imu, field)
-            if self._sensors not in (("", ""), (imu, field)):
-                # Samples of other sensors are not used.
-                self._self_calibration.machine.forget()
-                self._known.forget()
-            self._sensors = imu, field
+        frames = self._inputs.imu.frame, self._inputs.field.frame
+        if magnetometer is self._first and self._frames.note_sensors(*frames):
+            # Samples of other sensors are not used.
+            self._self_calibration.machine.forget()
+            self._known.forget()
 
     def _start(self) -> Conclusion:
         opened = self._magnetometers.start(self._up.gyro_at_rest)
         if opened.success:
+            self.get_logger().info("a turn begins")
             self._tick.reset()
             rotation = self._table.settings.rotation
             if rotation.enabled:
@@ -205,13 +202,13 @@ class Calibrator(Node):
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
         """Publish the result of a turn, before the waiting callers are answered."""
+        conclusion, subject = magnetometer.control.turn.last_conclusion, magnetometer.topic
+        assert conclusion is not None
         if magnetometer is self._first:
+            subject = "the turn is over"
             self._publish_status()
             self._draw()
-            return
-        conclusion = magnetometer.control.turn.last_conclusion
-        assert conclusion is not None
-        self.get_logger().info(f"{magnetometer.topic}: {conclusion.message}")
+        self.get_logger().info(f"{subject}: {conclusion.message}")
 
     def _on_look(self) -> None:
         base, is_allowed = self.rotator, self._table.settings.rotation.enabled
@@ -222,12 +219,7 @@ class Calibrator(Node):
             self.rotator.rest()
             self._look.cancel()
 
-    def _deliver(self) -> None:
-        self._pipeline.fits.deliver()
-        self._pipeline.files.deliver()
-
     def _on_tick(self) -> None:
-        self._deliver()
         if not self._magnetometers.tick():
             self._tick.cancel()
         self._publish_status()
@@ -238,7 +230,8 @@ class Calibrator(Node):
         self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
-        self._deliver()
+        # Results of jobs that ended before the executor existed.
+        self._pipeline.files.deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
         self._pipeline.follow(self._store, self._control.turn.state)
@@ -277,8 +270,6 @@ class Calibrator(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        answer, state = self._control.turn.last_conclusion, self._magnetometers.state
-        self._announcer.follow_turn(state is not TurnState.IDLE, answer)
         parts = {
             "turns_itself": self._table.settings.rotation.enabled,
             "vehicle_yaw_offset": self._travel.yaw_facts(),

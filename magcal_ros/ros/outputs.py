@@ -83,15 +83,21 @@ def _rotated(correction: Correction, covariance: bytes) -> tuple[float, ...]:
 
 
 class AttitudeOutput:
-    """Publishes the attitude of the base on one topic, while something subscribes."""
+    """Publishes the attitude of the base, and with a type `azimuth` its yaw in that type.
 
-    def __init__(self, node: Node, topic: str) -> None:
-        self._out = node.create_publisher(Imu, topic, RELIABLE)
+    Nothing is published on a topic without a subscription.
+    """
+
+    def __init__(self, node: Node, topic: str, azimuth: Any = None) -> None:
+        self._out = node.create_publisher(Imu, f"{topic}/imu", RELIABLE)
         self._attitude = wire.attitude_template()
+        self._azimuth, self._azimuth_out = azimuth, None
+        if azimuth is not None:
+            self._azimuth_out = node.create_publisher(azimuth, f"{topic}/rad", RELIABLE)
 
     @property
     def is_wanted(self) -> bool:
-        """Whether something subscribes."""
+        """Whether something subscribes to the attitude."""
         return _is_wanted(self._out)
 
     def publish(
@@ -105,6 +111,9 @@ class AttitudeOutput:
             covariance = heading.covariance(0.0 if declination is None else sigma**2)
             numbers = heading.quaternion(declination or 0.0) + covariance
             self._out.publish(self._attitude.fill(stamp, frame, numbers))
+        if self._azimuth_out is not None and _is_wanted(self._azimuth_out):
+            message = wire.azimuth_message(self._azimuth, stamp, frame, heading, reference)
+            self._azimuth_out.publish(message)
 
 
 NO_DECLINATION = (
@@ -119,15 +128,8 @@ class HeadingOutput:
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
-        self._azimuth = azimuth_type()
-        self._attitudes: dict[str, AttitudeOutput] = {}
-        self._azimuths: dict[str, Publisher] = {}
-        for north in ("mag", "true"):
-            topic = f"compass/{north}/enu"
-            self._attitudes[north] = AttitudeOutput(node, f"{topic}/imu")
-            if self._azimuth is not None:
-                out = node.create_publisher(self._azimuth, f"{topic}/rad", RELIABLE)
-                self._azimuths[north] = out
+        norths, azimuth = ("compass/mag/enu", "compass/true/enu"), azimuth_type()
+        self._magnetic, self._true = (AttitudeOutput(node, north, azimuth) for north in norths)
         self._deviation: FieldDeviation | None = None
         self.reading: CompassReading | None = None
         """Result of the newest field message with the calibration in force, None before it."""
@@ -136,7 +138,7 @@ class HeadingOutput:
         """Return warnings for subscribers of the heading."""
         found = []
         is_silent = self.reading is not None and reference.declination is None
-        if is_silent and self._attitudes["true"].is_wanted:
+        if is_silent and self._true.is_wanted:
             found.append(NO_DECLINATION)
         if self._node.count_publishers(self._yaw_out.topic_name) > 1:
             found.append(self._other_publishers())
@@ -171,13 +173,9 @@ class HeadingOutput:
         frame, heading = self._frames.frame(frame), view.heading(reading.heading)
         if _is_wanted(self._yaw_out):
             self._yaw_out.publish(Float64(data=true_yaw(heading.yaw, declination or 0.0)))
-        for north, known in (("mag", None), ("true", reference)):
-            if known is not None and declination is None:
-                continue
-            self._attitudes[north].publish(stamp, frame, heading, known)
-            out = self._azimuths.get(north)
-            if out is not None and _is_wanted(out):
-                out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
+        self._magnetic.publish(stamp, frame, heading)
+        if declination is not None:
+            self._true.publish(stamp, frame, heading, reference)
 
     def _with_uncertainty(self, reading: CompassReading) -> CompassReading:
         """Return the reading with a larger yaw variance if its field is disturbed."""
@@ -201,7 +199,7 @@ def _is_wanted(publisher: Publisher) -> bool:
     return bool(publisher.get_subscription_count())
 
 
-TOPIC = "compass/fused/enu/imu"
+TOPIC = "compass/fused/enu"
 
 
 class FusedOutput:
@@ -286,7 +284,7 @@ class FusedOutput:
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
         if self.yaw is None or not self._out.is_wanted:
-            return f"nothing subscribes to {TOPIC}"
+            return f"nothing subscribes to {TOPIC}/imu"
         if not self._follower.gyro_is_consistent:
             why = (
                 ": gyro and accelerometer contradict each other; correct the gyro's axes or signs "
@@ -298,7 +296,7 @@ class FusedOutput:
             why = ": the IMU has no gyro"
         else:
             why = ": some axes of the gyro never change; the driver does not read them"
-        return f"nothing on {TOPIC}{why}" if why else ""
+        return f"nothing on {TOPIC}/imu{why}" if why else ""
 
 
 METRES_PER_TESLA = 1.0 / 50e-6

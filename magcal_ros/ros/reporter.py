@@ -15,7 +15,7 @@ from magcal_ros.files.default_paths import chosen_path, identifier, own_folder
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.vehicle import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.vehicle import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ class SelfCalibrationRunner:
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
-        self._jobs.deliver()
         self._reports = reports
         self._idle += 1
         if self.machine.mode is not Mode(mode):

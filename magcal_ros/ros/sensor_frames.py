@@ -149,11 +149,13 @@ class SensorFrames:
         self._vehicle_yaw: VehicleYaw | None = None
         self._against_drive = ""
 
-    def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
-        """Take the frames in the messages of the sensors."""
-        self._imu_frame = identifier(imu_frame)
-        self._magnetometer_frame = identifier(magnetometer_frame)
+    def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> bool:
+        """Take the frames in the messages; returns whether there were other frames."""
+        before = self._imu_frame, self._magnetometer_frame
+        present = identifier(imu_frame), identifier(magnetometer_frame)
+        self._imu_frame, self._magnetometer_frame = present
         self._look()
+        return before not in (("", ""), present)
 
     @property
     def view(self) -> BaseHeading | None:

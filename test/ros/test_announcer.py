@@ -6,7 +6,6 @@ pytest.importorskip("rclpy")
 
 from rclpy.logging import get_logger
 
-from magcal_ros.core.session import Conclusion
 from magcal_ros.ros.announcer import LASTING, PAUSE, Announcer
 
 
@@ -93,22 +92,6 @@ def test_subjects_are_independent_and_nothing_is_repeated(stage):
     assert stage.take() == [("info", "one"), ("warning", "two")]
 
 
-def test_a_turn_is_logged_from_its_start_to_its_verdict(stage):
-    first, second = Conclusion(True, "good"), Conclusion(False, "refused")
-    follow = stage.announcer.follow_turn
-    follow(False, None)
-    for turning, answer in (
-        (True, None), (True, None), (False, first), (False, first), (True, first), (False, second),
-    ):  # fmt: skip
-        follow(turning, answer)
-    assert stage.take() == [
-        ("info", "a turn begins"),
-        ("info", "the turn is over: good"),
-        ("info", "a turn begins"),
-        ("info", "the turn is over: refused"),
-    ]
-
-
 def test_the_memory_for_complaints_is_bounded(stage):
     for k in range(10_000):
         stage.complain_for(LASTING + 2, f"{chr(0x4E00 + k)} is wrong")
@@ -124,11 +107,9 @@ def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
             announcer.tell(subject, f"{subject} {number}", wrong=wrong)
             announcer.tell(subject, f"{subject} {number} again", wrong=not wrong)
         announcer.complain([f"{chr(ord('e') + number)} is wrong"])
-        announcer.follow_turn(True, None)
-        announcer.follow_turn(False, Conclusion(True, f"verdict {number}"))
         now[0] += PAUSE
         announcer.complain([])
         now[0] += PAUSE
     printed = capfd.readouterr()
-    for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong", "verdict 2"):
-        assert f"[announcer]: {words}" in printed.err.replace("the turn is over: ", "")
+    for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong"):
+        assert f"[announcer]: {words}" in printed.err

@@ -165,14 +165,12 @@ def test_a_calibration_during_the_read_has_priority(met):
     assert store.calibration is before
 
 
-def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
+def test_a_file_that_has_changed_is_read_again(met, ros_home):
     store, *_ = met
     path = ros_home / "magcal" / "calibrator.left.yaml"
     store.read("", "left")
-    store.read("", "left")
     store_calibration(path, subtracted=0.25, frame="left")
     assert store.read("", "left").calibration.evidence.figures["steady_pull"] == 0.25
-    assert len(reads) == 2
 
 
 def test_a_damaged_file_is_reported_until_it_is_replaced(met, ros_home):

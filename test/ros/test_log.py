@@ -45,8 +45,8 @@ def test_missing_sensors_give_a_warning_and_a_turn_is_logged(
         assert robot.answer(robot.call(service)).success
     robot.run(PATIENCE, stop=lambda: any("the turn is over" in words for _, words in received))
     reported = [words for level, words in received if level == INFO]
-    begins = next(k for k, words in enumerate(reported) if words == "a turn begins")
-    over = next(k for k, words in enumerate(reported) if words.startswith("the turn is over: "))
+    (begins,) = (k for k, words in enumerate(reported) if words == "a turn begins")
+    (over,) = (k for k, words in enumerate(reported) if words.startswith("the turn is over: "))
     assert begins < over
     assert "cancelled" in reported[over]
     assert len(received) < 12

@@ -137,7 +137,7 @@ def learnt_of_speed(actor, now):
 
 def test_a_motor_field_by_wheels_is_learnt_and_stored(graph, with_motors, tmp_path, monkeypatch):
     """The turn knew of nothing that goes with the speed; a few starts and stops show it."""
-    monkeypatch.setattr("magcal_ros.ros.motors.PAUSE", 2)
+    monkeypatch.setattr("magcal_ros.ros.vehicle.PAUSE", 2)
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
     out = actor.node.create_publisher(Odometry, "odom", qos_profile_sensor_data)
     now = {"speed": 0.0}

@@ -3,6 +3,7 @@
 import math
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import MagneticField
 from support import DEGREE, PATIENCE, REFERENCE, ROBOT
 
-from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.heading import SeveralCompasses
+from magcal_ros.core.samples import FieldSample, Streams
 from magcal_ros.core.session import Conclusion
 from magcal_ros.files import read_calibration
-from magcal_ros.ros.magnetometers import joined, of_turns
+from magcal_ros.ros.heading_pipeline import Inputs, Sensor
+from magcal_ros.ros.magnetometers import Magnetometers, joined, of_turns
 from magcal_ros.ros.preflight import inspect
 from magcal_ros.ros.rehearsal import set_time
 
@@ -188,6 +191,24 @@ def test_turns_succeed_if_one_of_them_does():
         assert found.success
         assert found.message.startswith("this turn did not calibrate /b: ")
         assert "/b: silent; nothing was seen" in found.message
+
+
+def test_two_publishers_of_the_common_imu_are_reported_and_its_rate_is_right():
+    now = [0.0]
+    imu = Sensor("/imu", lambda: now[0])
+    each = [
+        SimpleNamespace(number=k, inputs=Inputs(imu, Sensor(f"/mag_{k}"), Streams(0.2)))
+        for k in (1, 2)
+    ]
+    both = Magnetometers(each[0], SeveralCompasses())
+    both.add(each[1])
+    for _ in range(5):
+        for k in range(10):
+            imu.note_message("ab"[k % 2])
+        now[0] += 1.0
+        both.look(lambda _: 1, SimpleNamespace(max_gap=0.2, accumulate=True))
+    assert imu.rate == 10.0
+    assert "the frame of /imu changes between 'a' and 'b'" in imu.complaint()
 
 
 def test_a_node_for_one_magnetometer_subscribes_to_no_other(start_node):

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 
+from magcal_ros.ros.guard import LAST_ZEROS, Rotator
 from magcal_ros.ros.parameters import Rotation
-from magcal_ros.ros.rotator import LAST_ZEROS, Rotator
 
 PLAIN, STAMPED = Rotation(True, 0.5, False, ""), Rotation(True, 0.5, True, "base")
 

@@ -145,7 +145,10 @@ class SeveralCompasses:
         self._forget()
 
     def put_in_force(self, number: int, calibration: Calibration | None) -> None:
-        """Use another calibration for a magnetometer; None leaves it out."""
+        """Use a calibration for a magnetometer, if it is not used already; None leaves it out."""
+        present = self._members.get(number)
+        if calibration is (present and present.compass.calibration):
+            return
         self._members.pop(number, None)
         if calibration is not None:
             self._members[number] = _CompassState(Compass(calibration), FieldDeviation(calibration))
