@@ -1,19 +1,23 @@
 """The numbers of messages by their attributes, to compare with what is read from the bytes."""
 
-from magcal_ros.core.messages import fix_from, imu_of, seconds, speed_from, velocity_from
-from magcal_ros.core.samples import FieldSample
+import math
+
+from magcal_ros.core.earth_field import Fix
+from magcal_ros.core.samples import FieldSample, ImuSample, SpeedSample, VelocitySample
+from magcal_ros.files.wire import seconds
 
 
 def imu_sample(message):
     force, rate, q = message.linear_acceleration, message.angular_velocity, message.orientation
-    return imu_of(
+    if message.linear_acceleration_covariance[0] == -1.0:
+        return None
+    has_rate = message.angular_velocity_covariance[0] != -1.0
+    has_orientation = message.orientation_covariance[0] != -1.0
+    return ImuSample(
         seconds(message.header.stamp),
         (force.x, force.y, force.z),
-        message.linear_acceleration_covariance[0],
-        (rate.x, rate.y, rate.z),
-        message.angular_velocity_covariance[0],
-        (q.x, q.y, q.z, q.w),
-        message.orientation_covariance[0],
+        (rate.x, rate.y, rate.z) if has_rate else (math.nan,) * 3,
+        (q.x, q.y, q.z, q.w) if has_orientation else None,
     )
 
 
@@ -24,19 +28,20 @@ def field_sample(message):
 
 def fix_of(message):
     place = message.latitude, message.longitude, message.altitude
-    return fix_from(seconds(message.header.stamp), message.status.status, *place)
+    return Fix(message.status.status >= 0, *place, seconds(message.header.stamp))
 
 
 def speed_of(message):
-    header, linear = message.header, message.twist.twist.linear
-    frames, mark = (header.frame_id, message.child_frame_id), message.twist.covariance[0]
-    return speed_from(seconds(header.stamp), *frames, mark, linear.x, linear.y)
+    """Return the sample of an odometry whose twist is usable."""
+    linear = message.twist.twist.linear
+    speed = math.copysign(math.hypot(linear.x, linear.y), linear.x)
+    return SpeedSample(seconds(message.header.stamp), speed)
 
 
 def velocity_of(message):
-    twist, variances = message.twist, ()
+    """Return the sample of a usable velocity."""
+    twist, sigma = message.twist, 0.1
     if hasattr(twist, "covariance"):
-        variances = float(twist.covariance[0]), float(twist.covariance[7])
-        twist = twist.twist
-    stamp = seconds(message.header.stamp)
-    return velocity_from(stamp, twist.linear.x, twist.linear.y, *variances)
+        variance = 0.5 * (float(twist.covariance[0]) + float(twist.covariance[7]))
+        twist, sigma = twist.twist, math.sqrt(variance) if variance > 0.0 else sigma
+    return VelocitySample(seconds(message.header.stamp), twist.linear.x, twist.linear.y, sigma)

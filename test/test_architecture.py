@@ -211,7 +211,6 @@ ORDER_OF_ROOMS = (
     "calibration",
     "assessment",
     "earth_field",
-    "messages",
     "up",
     "driving",
     "simulation",

@@ -14,12 +14,11 @@ import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import UsageError
-from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
-from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr
+from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr, seconds
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

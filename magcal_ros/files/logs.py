@@ -16,10 +16,10 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.disk import FileError, damage_in_words, open_regular, printable
 from magcal_ros.files.recording import Recording, travel_of
+from magcal_ros.files.wire import RECEIVER_SPEED_SIGMA
 
 GIGABYTE = LARGEST_LOG = 1 << 30
 """Bytes: half a day of an autopilot's usual log. Its samples and index are kept in memory."""

@@ -24,11 +24,11 @@ import numpy as np
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs
 from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
+from magcal_ros.files.wire import RECEIVER_SPEED_SIGMA
 
 MAGIC = b"ULog\x01\x12\x35"
 TESLA = 1e-4

@@ -1,4 +1,4 @@
-"""Parser of the messages of sensors and of travel, several times faster than any library.
+"""From the messages of sensors and of travel to samples, several times faster than any library.
 
 The types of these messages have never changed. So the layout in CDR (ROS 2) and in ROS 1's format
 is fixed: a header with stamp and frame, followed by numbers.
@@ -6,10 +6,12 @@ is fixed: a header with stamp and frame, followed by numbers.
 
 from __future__ import annotations
 
+import math
 from struct import Struct, error
+from typing import Any
 
 from magcal_ros.core.earth_field.reference import Fix
-from magcal_ros.core.messages import fix_from, heading_from, imu_of, speed_from, velocity_from
+from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
     FieldSample,
     HeadingSample,
@@ -17,6 +19,17 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     VelocitySample,
 )
+
+ABSENT = -1.0
+"""First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
+NO_RATE: Triple = (math.nan, math.nan, math.nan)
+
+RECEIVER_SPEED_SIGMA = 0.1
+"""m/s per axis of a receiver's velocity; a TwistStamped carries no covariance."""
+
+HEADING_SIGMA = math.radians(1.0)
+"""Sigma of a heading whose orientation covariance is zero, which means unknown."""
+NO_HEADING = math.radians(30.0)  # sigma from which a heading counts as unknown
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
@@ -65,19 +78,30 @@ class Format:
         return at + (CDR_START - at) % min(size, self._widest)
 
     def imu(self, data: bytes) -> tuple[bytes, ImuSample | None]:
-        """Return the frame and the numbers of a sensor_msgs/Imu."""
+        """Return the frame and the sample of a sensor_msgs/Imu; None without an acceleration."""
         stamp, frame, at = self.header(data)
         x, y, z, w, no_yaw, wx, wy, wz, no_rate, fx, fy, fz, no_force = IMU_BODY.unpack_from(
             data, at
         )
-        force, rate, orientation = (fx, fy, fz), (wx, wy, wz), (x, y, z, w)
-        return frame, imu_of(stamp, force, no_force, rate, no_rate, orientation, no_yaw)
+        if no_force == ABSENT:
+            return frame, None
+        rate = NO_RATE if no_rate == ABSENT else (wx, wy, wz)
+        orientation = None if no_yaw == ABSENT else (x, y, z, w)
+        return frame, ImuSample(stamp, (fx, fy, fz), rate, orientation)
 
     def heading(self, data: bytes) -> HeadingSample | str:
         """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
         stamp, _, at = self.header(data)
         x, y, z, w, mark, variance = HEADING.unpack_from(data, at)
-        return heading_from(stamp, (x, y, z, w), mark, variance)
+        if mark == ABSENT:
+            return "its orientation is marked absent (covariance -1)"
+        size = x * x + y * y + z * z + w * w
+        if not abs(size - 1.0) < 0.02:
+            return f"its orientation is not a unit quaternion (length {math.sqrt(abs(size)):.3g})"
+        if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
+            return "its orientation covariance says that the yaw is not known"
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return HeadingSample(stamp, yaw, math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA)
 
     def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
         """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
@@ -93,31 +117,58 @@ class Format:
         stamp, _, at = self.header(data, 1)
         (status,) = STATUS.unpack_from(data, at)
         service = self._aligned(at + 1, 2)
-        return fix_from(stamp, status, *PLACE.unpack_from(data, self._aligned(service + 2, 8)))
+        latitude, longitude, altitude = PLACE.unpack_from(data, self._aligned(service + 2, 8))
+        # STATUS_FIX of sensor_msgs/NavSatStatus is 0; STATUS_NO_FIX and STATUS_UNKNOWN are below.
+        return Fix(status >= 0, latitude, longitude, altitude, stamp)
 
     def velocity(self, data: bytes) -> VelocitySample | str:
         """Return the velocity of a geometry_msgs/TwistStamped, or why it has none."""
         stamp, _, at = self.header(data)
-        return velocity_from(stamp, *VELOCITY.unpack_from(data, at))
+        east, north = VELOCITY.unpack_from(data, at)
+        return _velocity(stamp, east, north, RECEIVER_SPEED_SIGMA)
 
     def velocity_with_covariance(self, data: bytes) -> VelocitySample | str:
         """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
         stamp, _, at = self.header(data)
-        return velocity_from(stamp, *VELOCITY_COVARIANCE.unpack_from(data, at))
+        east, north, of_east, of_north = VELOCITY_COVARIANCE.unpack_from(data, at)
+        if of_east == ABSENT:
+            return "its velocity is marked absent (covariance -1)"
+        is_known = of_east > 0.0 and of_north > 0.0
+        sigma = math.sqrt(0.5 * (of_east + of_north)) if is_known else RECEIVER_SPEED_SIGMA
+        return _velocity(stamp, east, north, sigma)
 
     def speed(self, data: bytes) -> SpeedSample | str:
-        """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
+        """Return the signed speed of a nav_msgs/Odometry, or why it has none.
+
+        By REP-105 and nav_msgs the twist is in `child_frame_id`, the vehicle's frame.
+        """
         stamp, world, at = self.header(data, 4)
         (length,) = LENGTH.unpack_from(data, at)
         end = at + LENGTH.size + length
         child = data[at + LENGTH.size : end - self._zero]
         x, y, mark = ODOMETRY_BODY.unpack_from(data, self._aligned(end, 8))
-        return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
+        if child and child == world:
+            return (
+                f"its child_frame_id {frame_of(child)!r} is its frame_id, so that its twist is not "
+                "a speed along the vehicle: give the vehicle's frame as child_frame_id"
+            )
+        if mark == ABSENT:
+            return "its twist is marked absent (covariance -1)"
+        if not math.isfinite(x + y):
+            return "its twist is not finite"
+        # The sideways component is included, because frames are slightly misaligned.
+        return SpeedSample(stamp, math.copysign(math.hypot(x, y), x))
 
     def current(self, data: bytes) -> tuple[float, float]:
         """Return stamp (s) and current (A) of a sensor_msgs/BatteryState of ROS 2."""
         stamp, _, at = self.header(data, 4)
         return stamp, *BATTERY.unpack_from(data, at)
+
+
+def _velocity(stamp: float, east: float, north: float, sigma: float) -> VelocitySample | str:
+    if not math.isfinite(east + north + sigma):
+        return "its velocity is not finite"
+    return VelocitySample(stamp, east, north, sigma)
 
 
 CDR = Format("<iII", 8, 1)
@@ -132,3 +183,8 @@ def is_plain_cdr(data: bytes) -> bool:
 def frame_of(text: bytes) -> str:
     """Return a frame as ROS reads it: up to the first zero, with invalid UTF-8 replaced."""
     return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def seconds(stamp: Any) -> float:
+    """Return a builtin_interfaces/Time in seconds."""
+    return float(stamp.sec + stamp.nanosec * 1e-9)

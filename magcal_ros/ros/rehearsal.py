@@ -20,10 +20,10 @@ from std_srvs.srv import Trigger
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
-from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.recording import Recording
+from magcal_ros.files.wire import ABSENT, seconds
 from magcal_ros.ros.sensor_frames import LATCHED
 
 

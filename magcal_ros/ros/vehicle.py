@@ -26,12 +26,12 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
 from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample, SpeedSample, VelocitySample
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.self_calibration.motor_learning import MotorLearning
 from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.files.wire import seconds
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread

@@ -27,9 +27,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.messages import ABSENT
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.wire import CDR, CDR_START, frame_of, is_plain_cdr
+from magcal_ros.files.wire import ABSENT, CDR, CDR_START, frame_of, is_plain_cdr
 
 T = TypeVar("T")
 

@@ -93,4 +93,38 @@ def test_an_odometry_is_read_from_its_bytes(frame, child):
     message = odometry(12.25, 3.5, frame, child)
     found = CDR.speed(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
     assert found == speed_of(message)
-    assert isinstance(found, SpeedSample) or frame == child
+
+
+def speed(x, y=0.0, child="base_link", mark=0.0):
+    message = odometry(7.5, x, child=child)
+    message.twist.twist.linear.y, message.twist.covariance[0] = y, mark
+    return CDR.speed(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
+
+
+@pytest.mark.parametrize(("x", "y", "found"), [(2.0, 0.0, 2.0), (-3.0, 4.0, -5.0), (0.0, 0.0, 0.0)])
+def test_speed_is_signed_and_in_the_vehicle(x, y, found):
+    sample = speed(x, y)
+    assert (sample.stamp, sample.speed, sample.is_signed) == (7.5, found, True)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (speed(math.nan), "not finite"),
+        (speed(math.inf), "not finite"),
+        (speed(1.0, mark=-1.0), "covariance -1"),
+        (speed(1.0, child="odom"), "give the vehicle's frame as child_frame_id"),
+    ],
+)
+def test_an_unusable_speed_gives_a_reason(found, words):
+    assert words in found
+
+
+def test_a_velocity_that_is_not_finite_or_marked_absent_gives_a_reason():
+    message = velocity(7.5, math.nan, 0.0, False)
+    data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
+    assert "not finite" in CDR.velocity(data)
+    message = velocity(7.5, 1.0, -2.0, True)
+    message.twist.covariance[0] = -1.0
+    data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
+    assert "marked absent" in CDR.velocity_with_covariance(data)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.earth_field import EARTH_RADIUS, Fix, Fixes, place_of
+from magcal_ros.core.earth_field import EARTH_RADIUS, Fix, Fixes, LocalPlane, place_of
 from magcal_ros.core.earth_field.reference import TUNING
 from magcal_ros.core.earth_field.wmm import Place
 
@@ -112,3 +112,13 @@ def test_any_input_gives_a_place_on_earth(messages):
         fixes.add(message)
         assert all(isinstance(words, str) for words in fixes.complaints(Place(1.0, 2.0)))
     assert fixes.place is None or abs(fixes.place.latitude_deg) <= 90.0
+
+
+def test_fixes_are_metres_from_the_first_good_one():
+    plane = LocalPlane()
+    assert plane.position(Fix(False, 48.0, 11.0, 0.0, 1.0)) is None
+    assert plane.position(Fix(True, 48.0, 179.9999, 0.0, 1.0))[1:] == (0.0, 0.0)
+    _, east, north = plane.position(Fix(True, 48.0001, -179.9999, math.nan, 2.0))
+    assert north == pytest.approx(11.12, abs=0.02)
+    assert east == pytest.approx(2.0 * 11.12 * math.cos(math.radians(48.0)), abs=0.05)
+    assert plane.position(Fix(True, math.nan, 11.0, 0.0, 3.0)) is None
