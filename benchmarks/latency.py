@@ -43,15 +43,10 @@ class Probe:
             load.on_field = self._note_sent
         of_relay, of_calibrator = partial(self._note, APART), partial(self._note, "")
         group = SensorGroup()
-        answers = [
-            node.create_subscription(kind, topic, note, 10, raw=True, callback_group=group)
-            for kind, topic, note in (
-                (MagneticField, "relayed/imu/mag", of_relay),
-                (Imu, "compass/mag/enu/imu", of_calibrator),
-            )
-        ]
+        group.subscribe(node, MagneticField, "relayed/imu/mag", of_relay)
+        group.subscribe(node, Imu, "compass/mag/enu/imu", of_calibrator)
         self._client = node.create_client(Trigger, "calibrator/calibrate")
-        self._spinner = Spinner(node, answers, group, self._faults.append)
+        self._spinner = Spinner(node, group, self._faults.append)
         self._thread = threading.Thread(target=self._spinner.spin, daemon=True)
         self._thread.start()
 

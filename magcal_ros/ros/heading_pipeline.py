@@ -19,7 +19,6 @@ from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.samples.units import InputCounts, complaints
-from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
@@ -206,15 +205,14 @@ FIRST = 1  # number of the magnetometer on `imu/mag`; the second is on `imu/mag_
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers."""
 
-    def __init__(self, node: Node, table: Parameters) -> None:
-        self.node, self._table = node, table
+    def __init__(self, node: Node, table: Parameters, group: SensorGroup) -> None:
+        self.node, self._table, self.sensor_group = node, table, group
         self.fits, self.files = (BackgroundThread(node, f"magcal-{n}") for n in ("fit", "files"))
-        self.sensor_group = SensorGroup()
         self.imu = Sensor(node.resolve_topic_name("imu/data_raw"))
         self.up = UpFollower()
         self.reference = ReferenceSource(node, table)
         self.frames = SensorFrames(node, lambda: table.settings)
-        self.travel = Travel(node, self.fits, self.sensor_group, self.reference.fixes.add)
+        self.travel = Travel(node, self.fits, group, self.reference.fixes.add)
         self.motors = Motors(node, self.up, self.travel)
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
@@ -247,14 +245,10 @@ class HeadingPipeline:
         """Once a second, take the parameters, and use and store the learnt field of the motors."""
         self.fused.patience = self.settings.patience
         kept = None if store.calibration is None else store.calibration.motors
-        mode, is_turning = Mode(self.settings.self_calibration), turn is not TurnState.IDLE
-        learnt = self.motors.follow(mode, is_turning, kept)
+        is_turning = turn is not TurnState.IDLE
+        learnt = self.motors.follow(self.settings.self_calibration, is_turning, kept)
         if learnt is not None:
             store.keep(learnt)
-
-    def on_imu(self, seconds: float, stamp: bytes) -> None:
-        """Propagate the fused yaw to an IMU message that `up` has received already."""
-        self.fused.on_imu(seconds, stamp, self.body_frame(), self.reference.field)
 
     def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""

@@ -21,9 +21,8 @@ from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
-from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, read_heading
-from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
+from magcal_ros.ros.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
@@ -46,7 +45,7 @@ class HeadingTopic:
     def __init__(
         self, magnetometer: Magnetometer, pipeline: HeadingPipeline, worker: WorkerProcess
     ) -> None:
-        node, group = pipeline.node, pipeline.sensor_group
+        node = pipeline.node
         self._magnetometer, self._pipeline, self._worker = magnetometer, pipeline, worker
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
@@ -56,9 +55,7 @@ class HeadingTopic:
         self._collector: HeadingCollector | None = None
         self._missed, self._gap = 0, 0.0
         self._fault = self._answer = self._doubt = ""
-        self.subscription = node.create_subscription(
-            Imu, TOPIC, self._on_heading, SENSOR_DATA, raw=True, callback_group=group
-        )
+        pipeline.sensor_group.subscribe(node, Imu, TOPIC, self._on_heading)
 
     def forget(self) -> None:
         """Discard the collected headings and all findings."""
@@ -159,8 +156,7 @@ class HeadingTopic:
         self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        if not isinstance(error, WorkerStopped):
-            self._answer = f"the fit failed: {error}"
+        self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
         if self._collector is None or log is not self._collector.log:
@@ -169,7 +165,7 @@ class HeadingTopic:
         if outcome.reason is Reason.HEADING_CONTRADICTED:
             self._doubt = self._answer
         found, before = outcome.calibration, self._magnetometer.store.calibration
-        is_wanted = self._pipeline.current_settings().self_calibration != Mode.OFF.value
+        is_wanted = self._pipeline.settings.self_calibration is not Mode.OFF
         if found is None or not (is_wanted and outcome.verdict.accepted):
             return
         if not external_heading.replaces(found, before):
@@ -318,8 +314,7 @@ class KnownHeadings:
         self._pipeline.fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        why = "the node is shutting down" if isinstance(error, WorkerStopped) else in_words(error)
-        self._conclude(False, f"the fit failed: {why}")
+        self._conclude(False, f"the fit failed: {in_words(error)}")
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         if epoch != self._epoch:

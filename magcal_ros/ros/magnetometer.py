@@ -83,10 +83,12 @@ class Magnetometer:
         self.compass: Compass | None = None
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
-        group = pipeline.sensor_group if is_first else None
-        self.subscription = node.create_subscription(
-            MagneticField, self._topic, self._on_field, SENSOR_DATA, raw=True, callback_group=group
-        )
+        if is_first:
+            pipeline.sensor_group.subscribe(node, MagneticField, self._topic, self._on_field)
+        else:
+            node.create_subscription(
+                MagneticField, self._topic, self._on_field, SENSOR_DATA, raw=True
+            )
 
     def look_at_sensors(self) -> None:
         """Note the first message of a sensor, or a new frame."""
@@ -220,8 +222,6 @@ class Control:
         if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
-            # The worker process is started early; if that fails, the turn ends.
-            self.tell(self._pipeline.fits.run, self._worker.start, lambda _: None, lambda _: None)
         return answer
 
     def add(self, sample: FieldSample) -> None:

@@ -27,7 +27,7 @@ from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
-from magcal_ros.ros.threads import SENSOR_DATA, Spinner
+from magcal_ros.ros.threads import SensorGroup, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
 
 TICK = 0.1  # seconds between checks of a turn under way; without a turn this timer is stopped
@@ -43,7 +43,10 @@ class Calibrator(Node):
         self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._table = Parameters(self)
-        self._pipeline = pipeline = HeadingPipeline(self, self._table)
+        # The messages of the IMU come first, because the others refer to up.
+        self._sensor_group = SensorGroup()
+        self._sensor_group.subscribe(self, Imu, "imu/data_raw", self._on_imu)
+        self._pipeline = pipeline = HeadingPipeline(self, self._table, self._sensor_group)
         self._up, self._travel, self._frames = pipeline.up, pipeline.travel, pipeline.frames
         self._reference = pipeline.reference
         self.rotator = Rotator(self)
@@ -59,14 +62,6 @@ class Calibrator(Node):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
         self._offer_services()
-        self._imu_subscription = self.create_subscription(
-            Imu,
-            "imu/data_raw",
-            self._on_imu,
-            SENSOR_DATA,
-            raw=True,
-            callback_group=pipeline.sensor_group,
-        )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
             Magnetometer(self, pipeline, number)
         # Timers use the steady clock, because simulated time may be paused.
@@ -106,12 +101,7 @@ class Calibrator(Node):
 
     def spinner(self) -> Spinner:
         """Return the executor of this node, with an efficient thread for the sensors."""
-        # Odometry is useless without the IMU, so it does not wake the node between IMU messages.
-        wheels, *receiver = self._travel.subscriptions
-        sensors = self._imu_subscription, self._first.subscription
-        subscriptions = [*sensors, *receiver, self._known.antenna.subscription]
-        group = self._pipeline.sensor_group
-        return Spinner(self, subscriptions, group, self._on_callback_error, [wheels])
+        return Spinner(self, self._sensor_group, self._on_callback_error)
 
     def _on_callback_error(self, error: Exception) -> None:
         # The failed callback may be the one that supervises the robot.
@@ -142,7 +132,8 @@ class Calibrator(Node):
             for each in self._magnetometers.others:
                 each.inputs.streams.add_imu(sample)
             self._known.on_imu(sample.stamp)
-            self._pipeline.on_imu(sample.stamp, stamp)
+            frame, field = self._pipeline.body_frame(), self._reference.field
+            self._pipeline.fused.on_imu(sample.stamp, stamp, frame, field)
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
         """Take a field sample before its heading is computed."""
@@ -241,9 +232,11 @@ class Calibrator(Node):
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
             self._store.keep(news)
-        self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
-        complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
-        complaints += [
+        outcome = self._control.turn.last_outcome
+        complaints = [
+            *self._inputs.complaints(),
+            *self._frames.follow(self._up, outcome, self._travel.yaw),
+            *self._travel.complaints,
             *self._known.antenna.complaints,
             *self._pipeline.headings.complaints(self._reference.field),
         ]

@@ -21,6 +21,7 @@ from magcal_ros.core.earth_field.reference import GivenReference
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits
 from magcal_ros.files.default_paths import chosen_path, lies_within, own_folder
@@ -64,7 +65,7 @@ class Settings:
     base_frame: str  # empty for the IMU's frame
     mounts: Mapping[int, FloatArray]  # given poses in the IMU's frame, by number of magnetometer
     magnetometers: int
-    self_calibration: str
+    self_calibration: Mode
     vehicle_yaw: float | None  # of the IMU in the vehicle, radians; None if not given
     known_heading: ExternalHeading | None  # None if the yaw or the north is not given
     north_is_missing: bool  # whether only the yaw of the known heading is given
@@ -91,8 +92,9 @@ class Settings:
         turns_itself = ("enabled", "speed_rad_s", "stamped", "frame_id")
         rotation = (values[f"rotate.{name}"] for name in turns_itself)
         limits = values["window.timeout_s"], values["window.silence_s"]
+        copied = {each.name: values[each.name] for each in fields(cls) if each.name in values}
         return cls(
-            **{each.name: values[each.name] for each in fields(cls) if each.name in values},
+            **copied | {"self_calibration": Mode(values["self_calibration"])},
             knowledge=Knowledge(given.field, mounting),
             limits=Limits(*limits, target_sigma=math.radians(sigma)),
             max_gap=values["window.max_gap_s"],

@@ -50,12 +50,12 @@ class SelfCalibrationRunner:
             if self.machine.add(pair, travel.estimator.speed):
                 self._look()
 
-    def follow(self, mode: str, reports: str) -> None:
+    def follow(self, mode: Mode, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
         self._reports = reports
         self._idle += 1
-        if self.machine.mode is not Mode(mode):
-            self.machine.mode = Mode(mode)
+        if self.machine.mode is not mode:
+            self.machine.mode = mode
             self.machine.forget()
         if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()

@@ -15,7 +15,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Installation
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import (
@@ -145,7 +144,6 @@ class SensorFrames:
         self._poses = SensorPoses(np.eye(3), False, np.eye(3))
         self._view: BaseHeading | None = BaseHeading(np.eye(3))
         self._contradiction = ""
-        self._found: Installation | None = None
         self._vehicle_yaw: VehicleYaw | None = None
         self._against_drive = ""
 
@@ -179,20 +177,35 @@ class SensorFrames:
         # The given gains are of the first magnetometer only.
         return Mounting(pose=pose, forward=forward)
 
-    def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
+    def follow(
+        self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None
+    ) -> list[str]:
         """Compare the description with measurements, once a second.
 
         These are gravity at rest, the installation by the last turn, and the yaw of the IMU in the
-        vehicle that was estimated while driving.
+        vehicle that was estimated while driving. Returns the missing poses and the contradictions
+        in words.
         """
-        estimate = None if outcome is None else outcome.estimate
-        self._found = None if estimate is None else estimate.installation
         if yaw != self._vehicle_yaw:
             self._vehicle_yaw = yaw
             self._look()
-        up = follower.newest
+        self._follow_parameters()
+        poses, up = self._poses, follower.newest
         if follower.is_at_rest and up is not None:
-            self._contradiction = self._poses.contradiction(np.array(up), self._frames)
+            self._contradiction = poses.contradiction(np.array(up), self._frames)
+        words = [*poses.complaints, self._contradiction, self._against_drive]
+        if self._frames.base:
+            words.append(self._description.problem)
+        estimate = None if outcome is None else outcome.estimate
+        found = None if estimate is None else estimate.installation
+        if poses.is_described and found is not None and found.angle > DOUBTED_ANGLE:
+            words.append(
+                f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
+                f"at {pose_in_words(poses.magnetometer)}, but the pose by the last turn is "
+                f"{np.degrees(found.angle):.0f}° away from this: correct the joint, or give "
+                "mount_rpy_deg"
+            )
+        return [each for each in words if each]
 
     @property
     def _forward(self) -> FloatArray:
@@ -201,23 +214,6 @@ class SensorFrames:
         if settings.base_frame or settings.vehicle_yaw is None:
             return (self._view or BaseHeading(np.eye(3))).pose[0]
         return rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
-
-    @property
-    def complaints(self) -> list[str]:
-        """Missing poses, and contradictions between poses and samples, in words."""
-        self._follow_parameters()
-        poses = self._poses
-        words = [*poses.complaints, self._contradiction, self._against_drive]
-        if self._frames.base:
-            words.append(self._description.problem)
-        if poses.is_described and self._found is not None and self._found.angle > DOUBTED_ANGLE:
-            words.append(
-                f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
-                f"at {pose_in_words(poses.magnetometer)}, but the pose by the last turn is "
-                f"{np.degrees(self._found.angle):.0f}° away from this: correct the joint, or give "
-                "mount_rpy_deg"
-            )
-        return [each for each in words if each]
 
     @property
     def _frames(self) -> Frames:

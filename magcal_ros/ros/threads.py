@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from queue import SimpleQueue
@@ -45,11 +45,29 @@ class SensorGroup(MutuallyExclusiveCallbackGroup):
 
     The events of its subscriptions (a publisher of another type) are ignored too, because each
     message would wake them. While `is_open`, as at first, rclpy's executor serves the group.
+    Messages of `unhurried` subscriptions do not wake the thread; they are taken with the next
+    message of the `urgent` ones.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.is_open = True
+        self.urgent: list[Subscription] = []
+        self.unhurried: list[Subscription] = []
+
+    def subscribe(
+        self,
+        node: Node,
+        kind: type,
+        topic: str,
+        take: Callable[[bytes], None],
+        is_urgent: bool = True,
+    ) -> None:
+        """Subscribe to the serialized messages on a topic, before the group is served."""
+        subscription = node.create_subscription(
+            kind, topic, take, SENSOR_DATA, raw=True, callback_group=self
+        )
+        (self.urgent if is_urgent else self.unhurried).append(subscription)
 
     def can_execute(self, entity: Any) -> bool:
         """Whether rclpy's executor may wait for an entity."""
@@ -75,26 +93,16 @@ class FairLock:
 
 
 class Spinner:
-    """Runs the callbacks of a node one at a time, and serves chosen subscriptions efficiently.
+    """Runs the callbacks of a node one at a time, and serves those of a group efficiently.
 
     rclpy's executor waits for the other entities and returns their handlers. A thread serves the
-    chosen subscriptions, and a lock prevents simultaneous callbacks. Messages of `unhurried`
-    subscriptions do not wake the thread; they are taken with the next message of the others. After
-    an error in a callback, which is passed to `note`, the node continues. If a call of rclpy fails
-    in the thread, rclpy's executor serves the subscriptions.
+    subscriptions of the group, and a lock prevents simultaneous callbacks. After an error in a
+    callback, which is passed to `note`, the node continues. If a call of rclpy fails in the thread,
+    rclpy's executor serves the group.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        subscriptions: Sequence[Subscription],
-        group: SensorGroup,
-        note: Callable[[Exception], None],
-        unhurried: Sequence[Subscription] = (),
-    ) -> None:
+    def __init__(self, node: Node, group: SensorGroup, note: Callable[[Exception], None]) -> None:
         self._node, self._group, self._note_error = node, group, note
-        self._awaited = tuple(subscriptions)
-        self._subscriptions = (*subscriptions, *unhurried)
         self._is_over = self._is_started = False
         self._lock, self._waking = FairLock(), Lock()
         self._waiting: set[Future] = set()
@@ -111,7 +119,7 @@ class Spinner:
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait at most `timeout_sec` seconds for one ready entity, and serve it.
 
-        The first call starts the thread of the chosen subscriptions.
+        The first call starts the thread of the group.
         """
         if not self._is_started:
             self._is_started = True
@@ -208,10 +216,10 @@ class Spinner:
         context: Any = self._node.context
         new_wait_set: Any = rclpy_implementation.WaitSet
         guard = self._guard.handle
-        served: list[Any] = [subscription.handle for subscription in self._subscriptions]
-        handles: list[Any] = [subscription.handle for subscription in self._awaited]
+        handles: list[Any] = [subscription.handle for subscription in self._group.urgent]
+        subscriptions = (*self._group.urgent, *self._group.unhurried)
         with ExitStack() as in_use:
-            for handle in (context.handle, guard, *served):
+            for handle in (context.handle, guard, *(each.handle for each in subscriptions)):
                 # Handles must not be destroyed during the wait.
                 in_use.enter_context(handle)
             wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)
@@ -222,7 +230,7 @@ class Spinner:
                 wait_set.add_guard_condition(guard)
                 wait_set.wait(FOR_EVER)
                 with self._lock:
-                    for subscription in self._subscriptions:
+                    for subscription in subscriptions:
                         if not self._is_over:
                             self._hand_on(subscription)
 

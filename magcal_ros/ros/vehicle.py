@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, NavSatFix
@@ -34,7 +33,7 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.wire import seconds
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread, SensorGroup
 from magcal_ros.ros.wire import Unreadable
 
 Sample: TypeAlias = SpeedSample | VelocitySample | Fix
@@ -54,7 +53,7 @@ class Travel:
         self,
         node: Node,
         thread: BackgroundThread,
-        group: CallbackGroup,
+        group: SensorGroup,
         on_fix: Callable[[Fix], object],
     ) -> None:
         self._node, self._thread, self._tell_fix = node, thread, on_fix
@@ -65,14 +64,11 @@ class Travel:
         self.driven_yaw = DrivenYaw()
         self.kept: VehicleYaw | None = None
         """The yaw that is stored with the calibration in force."""
-        self.subscriptions = []  # of odometry, velocity and fixes; their callbacks take bytes
         for source, kind, topic, read in RECEIVED:
             self._topics[source] = node.resolve_topic_name(topic)
-            take = partial(self._take, source, read)
-            subscription = node.create_subscription(
-                kind, topic, take, SENSOR_DATA, raw=True, callback_group=group
-            )
-            self.subscriptions.append(subscription)
+            # Odometry is useless without the IMU, so it does not wake the node.
+            is_urgent = source is not SpeedSource.ODOMETRY
+            group.subscribe(node, kind, topic, partial(self._take, source, read), is_urgent)
 
     @property
     def yaw(self) -> VehicleYaw | None:

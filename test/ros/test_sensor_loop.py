@@ -9,10 +9,15 @@ import other_rclpy
 import pytest
 import rclpy
 from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64
 from support import PATIENCE, wait_until
 
 from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
+
+
+def number_in(data):
+    return deserialize_message(data, Float64).data
 
 
 class Served:
@@ -21,25 +26,17 @@ class Served:
     def __init__(self):
         self.node = rclpy.create_node("served")
         self.group, self.received, self.errors = SensorGroup(), [], []
-        self.subscription = self.node.create_subscription(
-            Float64, "number", self.hear, 100, callback_group=self.group
-        )
+        self.group.subscribe(self.node, Float64, "number", self.hear)
         self.aside = []
-        unhurried = self.node.create_subscription(
-            Float64,
-            "aside",
-            lambda message: self.aside.append(message.data),
-            100,
-            callback_group=self.group,
+        self.group.subscribe(
+            self.node, Float64, "aside", lambda data: self.aside.append(number_in(data)), False
         )
-        self.spinner = Spinner(
-            self.node, [self.subscription], self.group, self.errors.append, [unhurried]
-        )
+        self.spinner = Spinner(self.node, self.group, self.errors.append)
         self.thread = threading.Thread(target=self.spinner.spin, daemon=True)
         self.on_number = self.received.append
 
-    def hear(self, message):
-        self.on_number(message.data)
+    def hear(self, data):
+        self.on_number(number_in(data))
 
     def close(self):
         assert self.spinner.shutdown(timeout_sec=PATIENCE)
