@@ -224,11 +224,8 @@ class Panel(ProgressLines):
             advice(progress),
         ]
         body = Columns([drawing, Text("\n".join(numbers))], padding=(0, 4))
+        self._live.start()
         self._live.update(Box(body, title="one turn", subtitle="Ctrl-C cancels", width=WIDEST))
 
-    def __enter__(self) -> Panel:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *arguments: Any) -> None:
-        self._live.__exit__(*arguments)
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
+import yaml
+
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
@@ -134,17 +136,9 @@ class ParameterSpec:
     @property
     def yaml_default(self) -> str:
         """The default as it is written in YAML."""
-        return _yaml(self.default)
-
-
-def _yaml(value: Value) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_yaml(item) for item in value) + "]"
-    if isinstance(value, str):
-        return value or '""'
-    return ".nan" if math.isnan(value) else repr(value)
+        default = list(self.default) if isinstance(self.default, tuple) else self.default
+        written, _, _ = yaml.safe_dump(default, default_flow_style=True).partition("\n")
+        return str(written).replace("''", '""')
 
 
 def _number(value: Any) -> float | None:
