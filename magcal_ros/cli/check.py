@@ -63,7 +63,7 @@ def run_check(options: argparse.Namespace) -> int:
     notes += [] if course is None else [course.words]
     notes += [own] if own else []
     try:
-        with recorded.with_progress(lambda: "checking", sys.stderr):
+        with recorded.with_progress(lambda: "checking"):
             window = recording.collector.window(recording.reference.field)
             result = check(window, calibration, drive=recording.collector.drive())
     except Refusal as refusal:
@@ -83,7 +83,7 @@ def run_check(options: argparse.Namespace) -> int:
         magnetometer_frame=frame,
         imu_frame=recording.source.imu_frame,
     )
-    with recorded.with_progress(lambda: "writing the report", sys.stderr):
+    with recorded.with_progress(lambda: "writing the report"):
         report = write_report(folder, subject)
     reference = recording.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
@@ -183,7 +183,7 @@ def run_drive(options: argparse.Namespace) -> int:
         repaired = RepairedReadings(source, for_drive=True, known=initial)
         travel = source.travel
         with recorded.with_progress(
-            lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
+            lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it"
         ):
             replay = replay_drive(knowledge, initial, repaired, travel)
             if replay.last_calibration is None:

@@ -160,7 +160,7 @@ def _recorded(options: argparse.Namespace) -> DoctorInput:
     with recorded.opened(options, options.recording) as source:
         collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
-        with recorded.with_progress(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
+        with recorded.with_progress(lambda: f"reading, {100.0 * shares[0]:.0f}%"):
             collector.take(kept(source.readings()))
         newest = collector.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)

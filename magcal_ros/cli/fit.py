@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,15 +85,13 @@ def run(options: argparse.Namespace) -> int:
             everything.append(recorded.collect(options, mounting, source))
     count = sum(sum(each.repaired.read) for each in everything)
     shares = [0.0]
-    with recorded.with_progress(
-        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
-    ):
+    with recorded.with_progress(lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%"):
         fitted = _fit(everything, options, shares.append)
     if options.compare:
         common.tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
     quality = fitted.outcome.verdict.quality.value
-    with recorded.with_progress(lambda: f"quality {quality}; writing the report", sys.stderr):
+    with recorded.with_progress(lambda: f"quality {quality}; writing the report"):
         files = _write_files(folder, fitted, options)
     common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
     return fitted.status

@@ -124,7 +124,7 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
     angles = options.imu_rpy_deg
     pose = None if angles is None else rotation_from_rpy(*map(math.radians, angles))
     shares = [0.0]
-    with with_progress(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * shares[-1]:.0f}%"):
         return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
 
 
@@ -141,7 +141,7 @@ def collect(
     """
     collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
-    with with_progress(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * repaired.share:.0f}%"):
         # After the field of the motors is subtracted, the current has no further effect.
         collector.take(repaired, source.travel, source.currents if known is None else ())
     newest = collector.streams.field_stamps.newest
@@ -150,12 +150,13 @@ def collect(
 
 
 @contextmanager
-def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Show the progress and the duration of a long operation.
+def with_progress(words: Callable[[], str], out: TextIO | None = None) -> Iterator[None]:
+    """Show the progress and the duration of a long operation, by default on stderr.
 
     On a terminal, one line is redrawn and removed at the end. Elsewhere, new lines are printed
     every few seconds, so that a short operation prints nothing.
     """
+    out = sys.stderr if out is None else out
     is_terminal, started, done = out.isatty(), time.monotonic(), threading.Event()
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 

@@ -51,8 +51,10 @@ robot may move."""
 
 STOPPED = b"stopped the base"
 
-IGNORED_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
-"""Signals that end the node; the guard ignores them, so that it does not end before the node."""
+NAMES = ("INT", "TERM", "HUP", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
+SIGNALS = tuple(getattr(signal, f"SIG{name}") for name in NAMES)
+"""All signals that would end a process and can be caught. The node stops a moving robot then; the
+guard ignores them, so that it does not end before the node."""
 
 
 class Guard:
@@ -258,8 +260,8 @@ def task(kind: str, topic: str, silence: float) -> bytes:
 
 def main() -> int:
     """Watch standard input; returns 0 if dismissed and 1 if the base was stopped."""
-    for name in IGNORED_SIGNALS:
-        signal.signal(getattr(signal, name), signal.SIG_IGN)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
     brake = Brake(topic, stamped, frame)
     # A blocked log of the node must not block the guard.

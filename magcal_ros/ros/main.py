@@ -17,11 +17,8 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from magcal_ros.processes import bound_memory, leave_out_current_folder, use_one_thread
+from magcal_ros.ros.guard import SIGNALS
 from magcal_ros.ros.node import Calibrator
-
-NAMES = ("INT", "TERM", "HUP", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
-SIGNALS = tuple(getattr(signal, f"SIG{name}") for name in NAMES)
-"""All signals that would end the process and can be caught, so that a moving robot is stopped."""
 
 
 class EndSignals:

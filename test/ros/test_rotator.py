@@ -15,7 +15,7 @@ from support import AT_ONCE, PATIENCE, REFERENCE
 
 from magcal_ros.core.session import rotation, self_turn
 from magcal_ros.ros import guard
-from magcal_ros.ros.main import SIGNALS
+from magcal_ros.ros.guard import SIGNALS
 
 TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.8}
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-preflight"]
