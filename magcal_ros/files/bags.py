@@ -18,7 +18,7 @@ from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
-from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr, seconds
+from magcal_ros.files.wire import CDR, ROS1, Format, is_plain_cdr, seconds
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -93,18 +93,12 @@ class Bag:
         """Yield the samples of both topics in the order in which they were recorded."""
         of_imu, of_field = self._format.imu, self._format.field
         fields = {connection.id for connection in self._field}
-        imu_frame = field_frame = b""
 
         def take(connection: Connection, _at: int, data: bytes) -> Reading:
-            nonlocal imu_frame, field_frame
             if connection.id in fields:
-                frame, sample, _ = of_field(data)
-                if frame != field_frame:
-                    field_frame, self.field_frame = frame, frame_of(frame)
+                self.field_frame, sample, *_ = of_field(data)
                 return sample
-            frame, reading = of_imu(data)
-            if frame != imu_frame:
-                imu_frame, self.imu_frame = frame, frame_of(frame)
+            self.imu_frame, reading, _ = of_imu(data)
             return reading
 
         return self._read([*self._imu, *self._field], take)

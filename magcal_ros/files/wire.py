@@ -7,8 +7,9 @@ is fixed: a header with stamp and frame, followed by numbers.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from struct import Struct, error
-from typing import Any
+from typing import Any, NamedTuple
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.vec3 import Triple
@@ -35,6 +36,8 @@ LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
 """Bytes before the message: in CDR the encapsulation, after which alignment starts; in ROS 1 the
 sequence number."""
+STAMP = Struct("<iI")
+STAMP_PLACE = slice(CDR_START, CDR_START + STAMP.size)
 
 # Orientation, rate and force, each with the first element of its covariance.
 IMU_BODY = Struct("<5d64x4d64x4d64x")
@@ -54,6 +57,26 @@ ODOMETRY_BODY = Struct("<344x2d32xd")
 BATTERY = Struct("<8xf")
 
 
+class ImuArrival(NamedTuple):
+    """The parts of a sensor_msgs/Imu that are used."""
+
+    frame: str
+    sample: ImuSample | None  # None if the message has no acceleration
+    stamp: bytes
+    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
+
+
+class FieldArrival(NamedTuple):
+    """The parts of a sensor_msgs/MagneticField that are used."""
+
+    frame: str
+    sample: FieldSample
+    stamp: bytes
+    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
+    covariance: bytes
+    """Nine little-endian doubles, row-major, T²: hardly any reader needs its numbers."""
+
+
 class Format:
     """Parser of messages in one format; it raises `struct.error` for any other layout.
 
@@ -71,23 +94,25 @@ class Format:
         end = self._frame_at + length
         if self._zero and (not length or data[end - 1 : end] != b"\0"):
             raise error("the frame does not end in a zero")
-        frame = data[self._frame_at : end - self._zero]
+        frame = bytes(data[self._frame_at : end - self._zero])
         return sec + nanosec * 1e-9, frame, self._aligned(end, size)
 
     def _aligned(self, at: int, size: int) -> int:
         return at + (CDR_START - at) % min(size, self._widest)
 
-    def imu(self, data: bytes) -> tuple[bytes, ImuSample | None]:
-        """Return the frame and the sample of a sensor_msgs/Imu; None without an acceleration."""
-        stamp, frame, at = self.header(data)
+    def imu(self, data: bytes) -> ImuArrival:
+        """Read a sensor_msgs/Imu."""
+        stamp, text, at = self.header(data)
         x, y, z, w, no_yaw, wx, wy, wz, no_rate, fx, fy, fz, no_force = IMU_BODY.unpack_from(
             data, at
         )
+        frame, stamp_bytes = frame_of(text), data[STAMP_PLACE]
         if no_force == ABSENT:
-            return frame, None
+            return ImuArrival(frame, None, stamp_bytes)
         rate = NO_RATE if no_rate == ABSENT else (wx, wy, wz)
         orientation = None if no_yaw == ABSENT else (x, y, z, w)
-        return frame, ImuSample(stamp, (fx, fy, fz), rate, orientation)
+        sample = ImuSample(stamp, (fx, fy, fz), rate, orientation)
+        return ImuArrival(frame, sample, stamp_bytes)
 
     def heading(self, data: bytes) -> HeadingSample | str:
         """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
@@ -103,14 +128,12 @@ class Format:
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return HeadingSample(stamp, yaw, math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA)
 
-    def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
-        """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
-
-        The covariance stays nine little-endian doubles: hardly any reader needs its numbers.
-        """
-        stamp, frame, at = self.header(data)
+    def field(self, data: bytes) -> FieldArrival:
+        """Read a sensor_msgs/MagneticField."""
+        stamp, text, at = self.header(data)
         x, y, z, covariance = FIELD_BODY.unpack_from(data, at)
-        return frame, FieldSample(stamp, (x, y, z)), covariance
+        sample = FieldSample(stamp, (x, y, z))
+        return FieldArrival(frame_of(text), sample, data[STAMP_PLACE], covariance)
 
     def fix(self, data: bytes) -> Fix:
         """Return the fix of a sensor_msgs/NavSatFix."""
@@ -180,9 +203,10 @@ def is_plain_cdr(data: bytes) -> bool:
     return data[:2] == LITTLE_ENDIAN_CDR
 
 
+@lru_cache(maxsize=8)
 def frame_of(text: bytes) -> str:
     """Return a frame as ROS reads it: up to the first zero, with invalid UTF-8 replaced."""
-    return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")
+    return text.partition(b"\0")[0].decode("utf-8", "replace")
 
 
 def seconds(stamp: Any) -> float:

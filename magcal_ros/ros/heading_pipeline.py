@@ -23,6 +23,7 @@ from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.wire import FieldArrival
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
@@ -30,7 +31,6 @@ from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import BackgroundThread, SensorGroup
 from magcal_ros.ros.vehicle import Motors, Travel
-from magcal_ros.ros.wire import FieldArrival
 
 SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
 

@@ -34,6 +34,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_machine import TurnMachine, TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.disk import printable
+from magcal_ros.files.wire import FieldArrival
 from magcal_ros.ros import wire
 from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
 
@@ -66,7 +67,7 @@ class FieldOutput:
                 self._bias.header.stamp = stamp
             self._bias_out.publish(self._bias)
 
-    def publish(self, field: Triple, arrived: wire.FieldArrival, frame: str) -> None:
+    def publish(self, field: Triple, arrived: FieldArrival, frame: str) -> None:
         """Publish a corrected field, tesla, in the IMU's frame."""
         if _is_wanted(self._field_out):
             covariance = self._rotated(arrived.covariance)

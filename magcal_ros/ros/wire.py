@@ -12,9 +12,8 @@ import contextlib
 import math
 import struct
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from struct import Struct
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
@@ -27,38 +26,13 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.wire import ABSENT, CDR, CDR_START, frame_of, is_plain_cdr
+from magcal_ros.files.wire import ABSENT, CDR, CDR_START, STAMP, STAMP_PLACE, is_plain_cdr
 
 T = TypeVar("T")
-
-STAMP = struct.Struct("<iI")
-_STAMP_END = CDR_START + STAMP.size
-_STAMP_PLACE = slice(CDR_START, _STAMP_END)
-_frame_of = lru_cache(maxsize=8)(frame_of)
 
 
 class Unreadable(MagcalError):
     """Bytes that are not a message of the topic's type."""
-
-
-class ImuArrival(NamedTuple):
-    """The parts of a sensor_msgs/Imu that the node uses."""
-
-    frame: str
-    sample: ImuSample | None  # None if the message has no acceleration
-    stamp: bytes
-    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
-
-
-class FieldArrival(NamedTuple):
-    """The parts of a sensor_msgs/MagneticField that the node uses."""
-
-    frame: str
-    sample: FieldSample
-    stamp: bytes
-    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
-    covariance: bytes  # nine little-endian doubles, row-major, T²
 
 
 def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:
@@ -78,18 +52,8 @@ def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:
     return read
 
 
-def _imu(data: bytes) -> ImuArrival:
-    frame, sample = CDR.imu(data)
-    return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
-
-
-def _field(data: bytes) -> FieldArrival:
-    frame, sample, covariance = CDR.field(data)
-    return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
-
-
-read_imu = _reader(Imu, _imu)
-read_field = _reader(MagneticField, _field)
+read_imu = _reader(Imu, CDR.imu)
+read_field = _reader(MagneticField, CDR.field)
 read_heading = _reader(Imu, CDR.heading)
 read_speed = _reader(Odometry, CDR.speed)
 read_velocity = _reader(TwistStamped, CDR.velocity)
@@ -114,7 +78,7 @@ def by_rclpy(data: bytes, kind: type) -> Any:
 
 
 DOUBLE = 8
-_FRAME_PLACE = _STAMP_END + 4
+_FRAME_PLACE = STAMP_PLACE.stop + 4
 """Offset of the frame, after the stamp and four bytes with the frame's length."""
 
 
@@ -142,7 +106,7 @@ class MessageTemplate:
             covariance = numbers[len(self._axes) :]
             setattr(self._message, f"{self._vector}_covariance", covariance)
             return self._message
-        self._data[CDR_START:_STAMP_END] = stamp
+        self._data[STAMP_PLACE] = stamp
         self._body.pack_into(self._data, self._place, *numbers)
         return bytes(self._data)
 

@@ -21,19 +21,19 @@ def packed(store, content, kind, **options):
 @pytest.mark.parametrize(("store", "form"), [(STORE1, wire.ROS1), (STORE2, wire.CDR)])
 def test_bytes_by_the_library_are_read(store, form, frame):
     imu, field = message(store, IMU_SAMPLE, frame), message(store, FIELD_SAMPLE, frame)
-    found = form.imu(packed(store, imu, IMU))
-    assert found == (frame.encode(), imu_sample(imu))
-    found = form.field(packed(store, field, FIELD))
+    data = packed(store, imu, IMU)
+    assert form.imu(data) == (frame, imu_sample(imu), data[4:12])
+    data = packed(store, field, FIELD)
     covariance = field.magnetic_field_covariance.tobytes()
-    assert found == (frame.encode(), field_sample(field), covariance)
+    assert form.field(data) == (frame, field_sample(field), data[4:12], covariance)
 
 
 def test_marks_of_absence_are_understood():
     parse = wire.CDR.imu
     gyroless = message(STORE2, IMU_SAMPLE._replace(rate=(math.nan,) * 3))
-    assert all(math.isnan(value) for value in parse(packed(STORE2, gyroless, IMU))[1].rate)
+    assert all(math.isnan(value) for value in parse(packed(STORE2, gyroless, IMU)).sample.rate)
     gyroless.linear_acceleration_covariance = np.r_[-1.0, np.zeros(8)]
-    assert parse(packed(STORE2, gyroless, IMU))[1] is None
+    assert parse(packed(STORE2, gyroless, IMU)).sample is None
 
 
 def test_truncated_bytes_are_an_error():
