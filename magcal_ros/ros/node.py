@@ -221,8 +221,9 @@ class Calibrator(Node):
         self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
-        # Results of jobs that ended before the executor existed.
-        self._pipeline.files.deliver()
+        # Results that came while the node had no executor.
+        for thread in (self._pipeline.fits, self._pipeline.files):
+            thread.deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
         self._pipeline.follow(self._store, self._control.turn.state)

@@ -52,6 +52,7 @@ class SelfCalibrationRunner:
 
     def follow(self, mode: Mode, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
+        self._jobs.deliver()
         self._reports = reports
         self._idle += 1
         if self.machine.mode is not mode:
