@@ -14,7 +14,7 @@ from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pa
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
-from magcal_ros.core.session.session_tuning import KNOWN
+from magcal_ros.core.session.session_tuning import KNOWN, SESSION
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
@@ -251,7 +251,7 @@ class KnownHeadings:
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
         stamps = [pair.field.stamp for pair in self._pairs]
-        if stamps and stamps[-1] - stamps[0] >= KNOWN.seconds:
+        if stamps and stamps[-1] - stamps[0] >= SESSION.rest:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:

@@ -25,8 +25,9 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 def leisure(monkeypatch):
     """Avoid stops by a busy machine; test/core tests the limits."""
     names = ("silence", "gyro_silence", "listeners_within", "guarded_within")
-    patient = replace(self_turn.SELF_TURN, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
+    patient = replace(self_turn.SELF_TURN, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "SELF_TURN", patient)
+    monkeypatch.setattr(self_turn, "SESSION", replace(self_turn.SESSION, rest=0.0))
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(
         rotation,

@@ -18,15 +18,23 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.knowledge import CLEAR, STREET_LENGTH, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
-from magcal_ros.core.session.session_tuning import KNOWN, LOG
+from magcal_ros.core.session.session_tuning import KNOWN, LOG, SESSION
 from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
-from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SIZES
+from magcal_ros.core.smoother.state import SECTORS
+from magcal_ros.core.smoother.unknowns import (
+    DISTURBANCE_AT_REST,
+    KINDS,
+    MICROTESLA,
+    ON_WHEELS,
+    SIZES,
+    USUALLY_LATE,
+)
 from magcal_ros.core.up.follower import UpFollower
 
 
@@ -42,7 +50,7 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
         return
     raise Refusal(
         Reason.HEADING_CONTRADICTED,
-        f"{what} during the measurement: the robot has to stand still for {KNOWN.seconds:g} s at "
+        f"{what} during the measurement: the robot has to stand still for {SESSION.rest:g} s at "
         "the known heading, and nothing magnetic may move near it",
     )
 
@@ -89,7 +97,7 @@ class CollectedSamples:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
                 f"only {len(self.pairs)} samples of field and acceleration came in "
-                f"{KNOWN.seconds:g} s, and {KNOWN.fewest} are needed: check that both sensors "
+                f"{SESSION.rest:g} s, and {KNOWN.fewest} are needed: check that both sensors "
                 "publish, and check their stamps",
             )
         time = np.array([pair.field.stamp for pair in self.pairs])
@@ -147,7 +155,7 @@ def add_known_heading(
     measurements = (*_without_repeated(before, new), new)[-KNOWN.most :]
     try:
         gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
-        if abs(gap) > KNOWN.contradicted * sigma:
+        if abs(gap) > CLEAR * sigma:
             raise Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
         estimate = fit(measurements, knowledge)
     except Refusal as refusal:
@@ -251,9 +259,8 @@ class HeadingLog:
 
     def __init__(self, forward: FloatArray) -> None:
         self.forward = forward
-        self._kept: list[deque[_DriveMean]] = [deque(maxlen=LOG.each) for _ in range(LOG.sectors)]
-        self._newest, self._fresh = -math.inf, 0
-        self._rested = False
+        self._kept: list[deque[_DriveMean]] = [deque(maxlen=LOG.each) for _ in range(SECTORS)]
+        self._fresh = 0
         self._heard, self._metres = math.nan, 0.0
         self._block: list[tuple[float, ...]] = []  # stamp, field, up, heading as a direction, turn
 
@@ -270,17 +277,14 @@ class HeadingLog:
         """Take a field sample and the heading at its stamp; returns whether to fit again.
 
         `up` is a unit vector and `rate` in rad/s without the bias, body axes. `shift` (rad) is
-        added to the heading to refer it to magnetic north. A rest gives one mean only, because
-        further means add no information. `turn` is by the gyro since the log began: it reveals
-        headings that drift.
+        added to the heading to refer it to magnetic north. `turn` is by the gyro since the log
+        began: it reveals headings that drift. Means of a sector are one correlation length of the
+        local disturbance apart, by the usual speed of a drive. So a rest gives one mean only.
         """
         stamp = sample.stamp
         since, self._heard = stamp - self._heard, stamp
         if since > 0.0 and not is_at_rest:
-            self._metres += LOG.speed * since
-        self._rested = self._rested and is_at_rest
-        if self._rested:
-            return False
+            self._metres += KINDS[ON_WHEELS].speed * since
         if abs(dot(rate, up)) > LOG.rate:
             self._block = []
             return False
@@ -296,26 +300,24 @@ class HeadingLog:
             mean[1:4],
             STANDARD_GRAVITY * mean[4:7],
             heading,
-            math.hypot(given.sigma, LOG.sigma),
+            math.hypot(given.sigma, LOG.rate * USUALLY_LATE),
             by_declination=given.is_true,
             forward=self.forward,
             force_sigma=LOG.force,
             common_sigma=LOG.common,
             drifts=True,
         )
-        self._block, self._rested = [], is_at_rest
+        self._block = []
         turn = turn._replace(angle=float(mean[9]))
         return self._keep(heading, _DriveMean(stamp, measurement, turn, self._metres))
 
     def _keep(self, heading: float, new: _DriveMean) -> bool:
-        sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
-        since = new.stamp - (sector[-1].stamp if sector else self._newest)
-        if 0.0 <= since < (LOG.pause if sector else LOG.block):
+        sector = self._kept[int((heading % math.tau) / math.tau * SECTORS) % SECTORS]
+        if sector and new.metres - sector[-1].metres < STREET_LENGTH:
             return False
         sector.append(new)
-        self._newest = new.stamp
         self._fresh += 1
-        return self._fresh >= max(LOG.first, len(self.measurements) // 3)
+        return self._fresh >= max(LOG.each, len(self.measurements) // 3)
 
     @property
     def measurements(self) -> tuple[KnownHeadingMeasurement, ...]:

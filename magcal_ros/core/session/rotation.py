@@ -55,14 +55,6 @@ class MeasuredTurn:
     is_complete: bool  # whether there are samples at every heading
 
 
-def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
-    """Return the seconds that a fault must last; more for the compass, which needs an arc first."""
-    if by_gyro:
-        return {Fault.NOT_TURNING: 2.5, Fault.WRONG_WAY: 0.5, Fault.TOO_FAST: 0.5}
-    slow = max(5.0, 1.5 / speed)
-    return {Fault.NOT_TURNING: slow, Fault.WRONG_WAY: 4.0, Fault.TOO_FAST: 3.0}
-
-
 def planned_duration(speed: float) -> float:
     """Return the duration in seconds of a turn each way at `speed`, rad/s."""
     return 2.0 * (math.tau / speed + speed / ROTATION.acceleration) + ROTATION.pause
@@ -86,7 +78,7 @@ class RotationPlan:
         self._target = math.tau
         self._brakes = False
         self._paused_at = now
-        self._suspected: dict[Fault, float] = {}
+        self._missing = self._excess = 0.0  # radians, see `_find_fault`
         self._deadline = now + min(longest, ROTATION.leeway * planned_duration(speed))
         self._noted = now
         self._commanded = self._path = 0.0
@@ -122,7 +114,7 @@ class RotationPlan:
         """Return the yaw rate to command at `now`, rad/s, left positive."""
         elapsed, self._last = min(now - self._last, ROTATION.longest_step), now
         if self.phase is not Phase.ENDED:
-            self.fault = self._find_fault(now, measured)
+            self.fault = self._find_fault(elapsed, measured)
         if self.fault is not None or self.phase is Phase.ENDED:
             self.phase, self.command = Phase.ENDED, 0.0
         elif self.phase is Phase.PAUSE:
@@ -135,7 +127,6 @@ class RotationPlan:
         if now - self._paused_at >= ROTATION.pause:
             self._target = abs(measured.turned - self._from)
             self.phase, self._from, self._brakes = Phase.BACK, measured.turned, False
-            self._suspected.clear()
 
     def _drive(self, now: float, elapsed: float, measured: MeasuredTurn) -> None:
         size = abs(self.command)
@@ -152,22 +143,24 @@ class RotationPlan:
             self.phase = Phase.PAUSE if self.phase is Phase.OUT else Phase.ENDED
             self._paused_at = now
 
-    def _find_fault(self, now: float, measured: MeasuredTurn) -> Fault | None:
-        """Return a fault that has lasted longer than `patience`."""
+    def _find_fault(self, elapsed: float, measured: MeasuredTurn) -> Fault | None:
+        """Return the fault by which the measured angle is far from the commanded one.
+
+        Two cumulative sums (CUSUM) count the missing and the excess angle. They return to zero when
+        the robot turns as it should, so that short deviations and wheel slip are no fault.
+        """
         along = self.direction * measured.rate
         commanded = 0.0 if self._brakes else abs(self.command)
-        fastest = ROTATION.most_share * self._speed + ROTATION.most_more
-        shows = {
-            Fault.TOO_FAST: abs(measured.rate) > fastest,
-            Fault.WRONG_WAY: commanded > 0.0 and along < -ROTATION.least_share * self._speed,
-            Fault.NOT_TURNING: commanded > 0.0 and along < ROTATION.least_share * commanded,
-        }
-        longest = patience(measured.by_gyro, self._speed)
-        for fault, shown in shows.items():
-            if not shown:
-                self._suspected.pop(fault, None)
-            elif now - self._suspected.setdefault(fault, now) > longest[fault]:
-                return fault
+        missing = ROTATION.least_share * commanded - along
+        excess = abs(measured.rate) - ROTATION.most_share * self._speed
+        self._missing = max(0.0, self._missing + elapsed * missing) if commanded else 0.0
+        self._excess = max(0.0, self._excess + elapsed * excess)
+        allowed = ROTATION.off_by_gyro if measured.by_gyro else ROTATION.off_by_compass
+        if self._excess > allowed:
+            return Fault.TOO_FAST
+        if self._missing > allowed:
+            backwards = along < -ROTATION.least_share * commanded
+            return Fault.WRONG_WAY if backwards else Fault.NOT_TURNING
         return None
 
 

@@ -13,7 +13,7 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationPlan, TurnMonitor
 from magcal_ros.core.session.session import Progress, TurnRequest
-from magcal_ros.core.session.session_tuning import SELF_TURN
+from magcal_ros.core.session.session_tuning import SELF_TURN, SESSION
 
 UNGUARDED = (
     "the robot does not start to turn: the guard, a second process that can stop the robot, was "
@@ -138,7 +138,7 @@ class SelfTurn:
                 remedy = "remap cmd_vel to the base's topic"
                 return self.abort(f"nothing subscribes to {self._command}: {remedy}")
         elif conditions.is_guarded:
-            if waited >= SELF_TURN.stands_first:
+            if waited >= SESSION.rest:
                 assert request.speed is not None
                 plan = RotationPlan(request.speed, now, request.limits.timeout)
                 self._stage = TurnInProgress(plan, TurnMonitor(request.knowledge.mounting.to_body))

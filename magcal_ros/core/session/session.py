@@ -183,7 +183,7 @@ class Session:
         rows = self._buffer[: self._size : 1 + self._size // SESSION.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        flows = self.has_samples and now - self._last_pair < SESSION.stands_still
+        flows = self.has_samples and now - self._last_pair < SESSION.rest
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
         if abs(rate) > SESSION.slowest_turn:
             self._last_turning = now
@@ -245,7 +245,7 @@ class Session:
             self._sigma <= target
             or ((is_near or not self.covers_whole_turn) and turns >= SESSION.once_more)
             or turns >= SESSION.most_turns
-            or now - self._last_turning > SESSION.stands_still
+            or now - self._last_turning > SESSION.rest
         )
 
     def _thin_out(self) -> None:

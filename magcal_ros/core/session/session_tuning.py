@@ -21,7 +21,9 @@ class SessionTuning:
     """Ratio of the predicted sigma to the target up to which a turn ends at `once_more`. Beyond it
     a local disturbance is likely, and a second round is useful."""
     once_more: float = 1.2  # full turns at which a turn ends if the target is not reached
-    stands_still: float = 3.0  # seconds at rest that end a complete turn
+    rest: float = 3.0
+    """Seconds at rest that end a complete turn, that come before the turn of a robot which turns
+    itself (for the gyro's bias and the motors' field), and of a mean at a known heading."""
     slowest_turn: float = math.radians(3.0)  # rad/s below which the robot is at rest
     preview_arc: float = math.radians(120.0)  # arc for the first predicted sigma, radians
     preview_share: float = 0.25  # fraction of one core that predictions may use
@@ -34,9 +36,12 @@ class RotationTuning:
     acceleration: float = 0.5  # rad/s² of the ramps
     pause: float = 0.5  # seconds at rest between the two directions
     longest_step: float = 0.2  # longest time step of a ramp, seconds, also after a longer delay
-    least_share: float = 0.3  # fraction of the commanded rate below which the robot does not turn
-    most_share: float = 1.75  # with `most_more`: the fastest rate is this times the planned speed
-    most_more: float = 0.1  # plus this, rad/s
+    least_share: float = 0.3  # fraction of the commanded rate that is due in spite of wheel slip
+    most_share: float = 1.75  # fastest rate in multiples of the planned speed
+    off_by_gyro: float = math.radians(15.0)
+    off_by_compass: float = math.radians(40.0)
+    """Radians by which the measured angle may be behind what is due, or ahead of the fastest turn.
+    A base starts late; the compass does not show the first 60° of a turn."""
     leeway: float = 1.5  # limit of time and angle in multiples of the plan, because wheels slip
     farthest_beyond: float = math.radians(45.0)  # limit beyond either end, because a robot coasts
     rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
@@ -65,7 +70,6 @@ class SelfTurnTuning:
     """Seconds without an angular velocity, or between two calls of `SelfTurn.look`, after which the
     moving robot is stopped."""
     listeners_within: float = 3.0  # seconds within which the commands must have a subscription
-    stands_first: float = 3.0  # seconds at rest first, for gyro bias and the motors' field
     guarded_within: float = 10.0  # longest wait for the guard, s; a small computer needs three
 
 
@@ -73,12 +77,10 @@ class SelfTurnTuning:
 class KnownHeadingTuning:
     """Rests at a known heading, and the comparison of a device's headings with the gyro."""
 
-    seconds: float = 3.0  # duration of a mean
     fewest: int = 10  # field samples that a mean needs
     patience: float = 15.0  # steady-clock seconds after which the samples are taken as too few
     rate: float = math.radians(1.5)  # rad/s without the bias from which the robot turns
     creep: float = 0.7e-6  # largest change of the field in a rest, without noise, tesla
-    contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
     same: float = math.radians(5.0)  # radians within which a new heading replaces another
     most: int = 24  # measurements that are kept
     turn: float = math.radians(40.0)  # smallest turn by the gyro for a comparison, radians
@@ -91,19 +93,13 @@ class KnownHeadingTuning:
 class HeadingLogTuning:
     """The means that are kept of a drive with external headings."""
 
-    sectors: int = 12  # sectors of headings
-    each: int = 8  # means that are kept in each sector
+    each: int = 8  # means that are kept in each sector, and new means needed for a fit
     block: float = 0.5  # seconds of a mean
-    pause: float = 4.0
-    """Seconds between two means of a sector: local disturbances extend over some 30 m of street."""
     fewest: int = 4  # samples of a mean
     rate: float = 0.1  # rad/s from which a delay between heading and field matters
-    sigma: float = math.radians(0.7)  # heading error by such a delay, radians
     common: float = math.radians(0.5)
     """Sigma of the device's mounting yaw, radians: a centimetre for antennas a metre apart."""
     force: float = 0.15  # sigma of the up vector in a drive, m/s² per axis
-    speed: float = 5.0  # assumed speed of a moving robot, m/s, because the speed is not measured
-    first: int = 8  # new means needed for a fit
 
 
 SESSION = SessionTuning()

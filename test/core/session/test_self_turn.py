@@ -9,7 +9,7 @@ from scene import NO_RATE, Scene
 
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session import TurnState
-from magcal_ros.core.session.session_tuning import SELF_TURN
+from magcal_ros.core.session.session_tuning import SELF_TURN, SESSION
 
 SPEED = 0.5
 
@@ -89,10 +89,10 @@ def test_the_turn_waits_for_a_slow_guard():
 @pytest.mark.nightly
 def test_the_robot_first_stands_still_so_that_a_rest_is_measured():
     scene = robot()
-    scene.live(SELF_TURN.stands_first - 0.3)
+    scene.live(SESSION.rest - 0.3)
     assert not scene.stated
     assert scene.until_concluded().success
-    assert scene.turn.last_window.rests[0].seconds > SELF_TURN.stands_first - 1.0
+    assert scene.turn.last_window.rests[0].seconds > SESSION.rest - 1.0
 
 
 def test_the_end_of_the_guard_ends_the_turn():
