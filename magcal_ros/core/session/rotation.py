@@ -12,15 +12,15 @@ rejected if only the commanded angle fits.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.vec3 import dot, length
+from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.session import Progress
@@ -168,13 +168,14 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
     """Return how the field contradicts the gyro; empty if it does not or the turn is too short.
 
     `turned` by the gyro and `commanded` are (n,), radians to the left. `level` is the field in two
-    level axes, (n, 2), tesla.
+    level axes, (n, 2), tesla. The newest samples of several spans are tested.
     """
     for span in ROTATION.spans:
-        rows = _last(span, turned, commanded)
-        if len(rows) < 10:
+        spans = np.maximum(_spans_to_the_end(turned), _spans_to_the_end(commanded))
+        newest = slice(int(np.count_nonzero(spans >= span)) - 1, None)
+        if newest.start < 0:
             return ""
-        found = _objection(turned[rows], commanded[rows], level[rows], span)
+        found = _objection(turned[newest], commanded[newest], level[newest], span)
         if found:
             return found
     return ""
@@ -219,19 +220,24 @@ def _best_fit(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
     return total / (2.0 * len(turned)), radius
 
 
-def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
-    """Return the newest rows over which either angle spans `span`, evenly thinned, or no rows."""
-    backward = slice(None, None, -1)
-    spans = [
-        np.maximum.accumulate(angle[backward]) - np.minimum.accumulate(angle[backward])
-        for angle in (turned, commanded)
-    ]
-    enough = np.flatnonzero(np.maximum(*spans) >= span)
-    if not len(enough):
-        return np.empty(0, dtype=int)
-    count = int(enough[0]) + 1
-    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, ROTATION.most_rows))
-    return np.unique(rows.round().astype(int))
+def _spans_to_the_end(angle: FloatArray) -> FloatArray:
+    """Return the range of an angle (n,) from each row to the last."""
+    backward = angle[::-1]
+    return np.asarray(np.maximum.accumulate(backward) - np.minimum.accumulate(backward))[::-1]
+
+
+class TurnRow(NamedTuple):
+    """A sample of a turn."""
+
+    turned: float
+    commanded: float  # radians since the start, left positive, by gyro and by commands
+    field: Triple  # raw field, tesla
+    force: Triple  # m/s²
+
+    def is_apart(self, other: TurnRow) -> bool:
+        """Whether either angle differs enough from that of another row."""
+        gaps = self.turned - other.turned, self.commanded - other.commanded
+        return max(map(abs, gaps)) >= ROTATION.spacing
 
 
 class TurnMonitor:
@@ -242,12 +248,11 @@ class TurnMonitor:
 
     def __init__(self, to_body: FloatArray) -> None:
         self._to_body = to_body
-        self._turned = 0.0
+        self._turned = self._commanded = self._rate = 0.0
         self._newest: tuple[float, float] | None = None
         self._has_gyro = False
-        self._commanded = 0.0
-        self._tested_at = -math.inf
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=ROTATION.most_samples)
+        self._rows: list[TurnRow] = []  # equally spaced in angle
+        self._tested = 0  # number of rows at the last test
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
         """Take the next sample, and the commanded rate (rad/s) at its stamp."""
@@ -261,22 +266,24 @@ class TurnMonitor:
             if 0.0 < step <= STREAMS.longest_gyro_step:
                 self._turned += 0.5 * step * (about_up + self._newest[1])
                 self._commanded += step * command
+                self._rate += (about_up - self._rate) * min(step / ROTATION.smoothed, 1.0)
         self._newest = (stamp, about_up)
-        row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
-        self._rows.append(row)
+        row = TurnRow(self._turned, self._commanded, pair.field.field, force)
+        if not self._rows or row.is_apart(self._rows[-1]):
+            self._rows.append(row)
 
     def measured(self, progress: Progress) -> MeasuredTurn:
         """Return the turn by the gyro, or without a gyro by the session's compass."""
         coverage = progress.coverage
         if self._has_gyro:
-            return MeasuredTurn(self._turned, self._rate(), True, coverage.is_complete)
+            return MeasuredTurn(self._turned, self._rate, True, coverage.is_complete)
         return MeasuredTurn(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
-    def objection(self, now: float) -> str:
-        """Return how the field contradicts the gyro, if so; tests at most every `test_every`."""
-        if not self._has_gyro or now - self._tested_at < ROTATION.test_every:
+    def objection(self) -> str:
+        """Return how the field contradicts the gyro, if so; tests once the robot turned further."""
+        if not self._has_gyro or self._tested == len(self._rows):
             return ""
-        self._tested_at = now
+        self._tested = len(self._rows)
         found = objection_to_gyro(*self._angles_and_field())
         why = "the gyro is frozen, or the robot turns faster than the gyro's range"
         return f"{found}: {why}" if found else ""
@@ -315,22 +322,12 @@ class TurnMonitor:
         with_gyro = _turns_rather_by(turned, -turned, level)
         return with_gyro - _turns_rather_by(-turned, turned, level)
 
-    def _rate(self) -> float:
-        """Return the mean rate over the newest `rate_span` seconds, rad/s."""
-        first = last = self._rows[-1]
-        for row in reversed(self._rows):
-            if last[7] - row[7] > ROTATION.rate_span:
-                break
-            first = row
-        seconds = last[7] - first[7]
-        return (last[0] - first[0]) / seconds if seconds > 0.0 else 0.0
-
     def _angles_and_field(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the angles by gyro and commands (n,), and the field in two level axes (n, 2)."""
         if len(self._rows) < 10:
             return np.zeros(0), np.zeros(0), np.zeros((0, 2))
-        rows = np.array(self._rows)
-        up = unit(rows[:, 4:7].mean(axis=0))
+        turned, commanded, field, force = map(np.array, zip(*self._rows, strict=True))
+        up = unit(force.mean(axis=0))
         first = unit(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))
         axes = np.array([first, np.cross(up, first)])
-        return rows[:, 0], rows[:, 8], rows[:, 1:4] @ self._to_body.T @ axes.T
+        return turned, commanded, field @ self._to_body.T @ axes.T

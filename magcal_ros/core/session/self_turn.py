@@ -185,7 +185,7 @@ class SelfTurn:
             return "rotate.enabled was switched off"
         if not conditions.is_guarded:
             return GUARD_GONE
-        return self._silence(stage, now, conditions) or stage.monitor.objection(now)
+        return self._silence(stage, now, conditions) or stage.monitor.objection()
 
     def _silence(self, stage: TurnInProgress, now: float, conditions: TurnConditions) -> str:
         is_pausing = stage.plan.phase is Phase.PAUSE

@@ -44,9 +44,9 @@ class RotationTuning:
     A base starts late; the compass does not show the first 60° of a turn."""
     leeway: float = 1.5  # limit of time and angle in multiples of the plan, because wheels slip
     farthest_beyond: float = math.radians(45.0)  # limit beyond either end, because a robot coasts
-    rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
-    most_samples: int = 2000  # samples that are kept to compare gyro, commands and field
-    test_every: float = 0.25  # seconds between two tests of the gyro by the field
+    smoothed: float = 0.2  # time constant of the gyro's rate, seconds
+    spacing: float = math.radians(2.0)
+    """Angle between the samples that are kept to compare gyro, commands and field, radians."""
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
@@ -57,7 +57,6 @@ class RotationTuning:
     factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that are tried
     clearly_worse: float = 1.4  # ratio of squared misfits from which an angle is rejected
     smallest_radius: float = 1.5e-6  # tesla; a field on a smaller circle has not turned
-    most_rows: int = 200  # samples of a test, evenly over the span
 
 
 @dataclass(frozen=True)
