@@ -70,7 +70,6 @@ class RotationPlan:
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.phase = Phase.OUT
         self.fault: Fault | None = None
-        self.objection = ""
         self.command = 0.0
         self._speed = speed
         self._last = now
@@ -80,30 +79,23 @@ class RotationPlan:
         self._paused_at = now
         self._missing = self._excess = 0.0  # radians, see `_find_fault`
         self._deadline = now + min(longest, ROTATION.leeway * planned_duration(speed))
-        self._noted = now
-        self._commanded = self._path = 0.0
+        self._commanded = self._path = 0.0  # radians, left positive and without a sign
 
     def is_late(self, now: float) -> bool:
         """Whether the time limit of the turn is exceeded."""
         return now > self._deadline
 
-    def note(self, now: float, command: float, measured: MeasuredTurn) -> None:
-        """Take the command (rad/s) that was in force until `now`, and the measured turn."""
-        step, self._noted = (now - self._noted) * command, now
-        self._commanded += step
-        self._path += abs(step)
-        if self.objection:
-            return
+    def objection(self, measured: MeasuredTurn) -> str:
+        """Return why the robot has turned too far; empty if it has not."""
         beyond = ROTATION.farthest_beyond
         if measured.by_gyro and not -beyond <= measured.turned <= math.tau + beyond:
-            self.objection = (
+            return (
                 f"the gyro measured {math.degrees(measured.turned):+.0f}°, outside the planned "
                 "turn from 0° to 360°"
             )
-        elif max(abs(self._commanded), 0.5 * self._path) > ROTATION.leeway * math.tau:
-            self.objection = (
-                f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete"
-            )
+        if max(abs(self._commanded), 0.5 * self._path) > ROTATION.leeway * math.tau:
+            return f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete"
+        return ""
 
     @property
     def direction(self) -> float:
@@ -112,7 +104,10 @@ class RotationPlan:
 
     def step(self, now: float, measured: MeasuredTurn) -> float:
         """Return the yaw rate to command at `now`, rad/s, left positive."""
-        elapsed, self._last = min(now - self._last, ROTATION.longest_step), now
+        since, self._last = now - self._last, now
+        self._commanded += since * self.command
+        self._path += since * abs(self.command)
+        elapsed = min(since, ROTATION.longest_step)
         if self.phase is not Phase.ENDED:
             self.fault = self._find_fault(elapsed, measured)
         if self.fault is not None or self.phase is Phase.ENDED:

@@ -157,14 +157,13 @@ class SelfTurn:
     ) -> ControlStep:
         plan, monitor = stage.plan, stage.monitor
         measured, commanded = monitor.measured(progress), plan.command
-        plan.note(now, commanded, measured)
-        objection = self._objection(stage, now, since, conditions) or plan.objection
+        rate = plan.step(now, measured)
+        objection = self._objection(stage, now, since, conditions) or plan.objection(measured)
         if objection:
             return self.abort(objection)
         if plan.is_late(now):
             words = "the robot did not complete its turn in time"
             return ControlStep(self.stop().rate, ended=words)
-        rate = plan.step(now, measured)
         if plan.fault is not None:
             return self.abort(monitor.explain(plan.fault, measured, commanded))
         if plan.phase is Phase.ENDED:
