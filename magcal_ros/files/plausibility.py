@@ -21,9 +21,10 @@ class Bounds:
     """Gains of the matrix: 0.1 to 10 by the sensor, and a factor of two by soft iron."""
     largest_variance: float = 1e8
     """Variance of the matrix, and of the hard iron in tesla²: above any real uncertainty."""
-    weakest_field: float = 5e-6
-    """Tesla. The Earth's field has 22 to 67 µT; steel changes this by a factor of a few."""
-    strongest_field: float = 300e-6  # tesla
+    weakest_field: float = 2e-6
+    strongest_field: float = 300e-6
+    """Tesla. All that a verdict accepts (`VerdictTuning.beyond_iron_ut`): the Earth's field has 22
+    to 67 µT, and a body of steel leaves a part of it."""
     asymmetry: float = 1e-6  # difference of two correlations that rounded digits can cause
     negative: float = 1e-6
     """Magnitude of a negative eigenvalue of the correlations that rounding can cause."""

@@ -9,7 +9,7 @@ import yaml
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core import Correction, Knowledge, calibrate
+from magcal_ros.core import Correction, Figure, Grade, Knowledge, calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import (
     FileError,
@@ -92,6 +92,16 @@ def test_a_covariance_that_is_not_finite_is_refused(found, change, words):
 def test_a_field_that_is_not_on_earth_is_refused(found, entry, value, words):
     with pytest.raises(ValueError, match=words):
         require_possible(replace(found, **{entry: value}))
+
+
+@pytest.mark.parametrize("strength", [2.1e-6, 190e-6])
+def test_every_strength_that_a_verdict_accepts_can_be_stored(strength):
+    robot = replace(ROBOT, strength=strength, noise_field=1e-8, hard_iron=np.zeros(3))
+    window = measure(robot, turn(), np.random.default_rng(7))
+    outcome = calibrate(window, robot.knowledge())
+    checks = {check.figure: check.grade for check in outcome.verdict.checks}
+    assert checks[Figure.STRENGTH] is Grade.WARN
+    require_possible(outcome.calibration)
 
 
 def test_a_singular_matrix_and_a_hard_iron_in_microtesla_are_refused(found):
