@@ -30,6 +30,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.gyro_swing import SWING, without_gyro_errors
 from magcal_ros.core.up.follower import UpFollower, propagated_up
 
 
@@ -62,15 +63,6 @@ MICRO = 1e6
 
 MOST_POINTS = 400
 """Points of one series in a picture; more would only make the file larger."""
-
-GYRO_BIAS_SIGMA = math.radians(0.5)
-GYRO_SCALE_SIGMA = 0.02
-"""Prior sigmas of the gyro's bias (rad/s) and scale (relative) in the comparison."""
-
-COMPASS_SIGMA = math.radians(2.0)
-INDEPENDENT_SAMPLES = 20
-"""Effective number of samples in the comparison with the gyro: errors of neighbours are
-correlated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,16 +239,9 @@ def _reference(
         inliers = np.ones(len(yaw), dtype=np.bool_)
     if gyro is None:
         return _smooth_course(time, yaw, inliers)
-    start = mean_angle((yaw - gyro)[inliers])
-    error = wrap_angle(yaw - gyro - start)
-    columns = np.column_stack([np.ones_like(time), gyro - gyro.mean(), time - time.mean()])
-    weight = INDEPENDENT_SAMPLES / (max(int(inliers.sum()), 1) * COMPASS_SIGMA**2)
-    weights = weight * inliers
-    prior = np.diag([0.0, GYRO_SCALE_SIGMA**-2, GYRO_BIAS_SIGMA**-2])
-    normal = columns.T @ (weights[:, None] * columns) + prior
-    return np.asarray(
-        gyro + start + columns @ np.linalg.solve(normal, columns.T @ (weights * error))
-    )
+    error = wrap_angle(yaw - gyro - mean_angle((yaw - gyro)[inliers]))
+    alike = len(time) * SWING.sector / (float(np.ptp(gyro)) + SWING.sector)
+    return np.asarray(yaw - without_gyro_errors(error, time, gyro, alike))
 
 
 def _smooth_course(time: FloatArray, yaw: FloatArray, inliers: BoolArray) -> FloatArray:

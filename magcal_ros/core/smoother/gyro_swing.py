@@ -47,7 +47,7 @@ def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatAr
     noise = _sample_noise(deviation)
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
     sectors = _sectors(deviation, turned, time, yaw, noise)
-    left = _without_gyro_errors(sectors)
+    left = without_gyro_errors(sectors.deviation, sectors.time, sectors.turned)
     kept = np.abs(left) <= SWING.spike * np.median(np.abs(left)) + noise
     lasting = np.mean(left[kept] ** 2) - np.mean(noise**2 / sectors.count[kept])
     return GyroSwing(sectors.heading[kept], left[kept], math.sqrt(max(float(lasting), 0.0)))
@@ -87,22 +87,22 @@ def _sectors(
     return _Sectors(mean(deviation), mean(turned), mean(time), heading, count.astype(float))
 
 
-def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
-    """Return the sectors' deviation (s,) without offset, bias and scale of the gyro, radians."""
-    rows = np.column_stack(
-        [
-            np.ones_like(sectors.deviation),
-            sectors.time - sectors.time.mean(),
-            sectors.turned - sectors.turned.mean(),
-        ]
-    )
-    prior = np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
-    left = sectors.deviation - np.median(sectors.deviation)
+def without_gyro_errors(
+    deviation: FloatArray, time: FloatArray, turned: FloatArray, alike: float = 1.0
+) -> FloatArray:
+    """Return a deviation (n,) without offset, bias and scale of the gyro, radians.
+
+    `time` (n,) is in seconds, `turned` (n,) the angle by the gyro, radians. `alike` neighbours have
+    the same error.
+    """
+    rows = np.column_stack([np.ones_like(time), time - time.mean(), turned - turned.mean()])
+    prior = alike * np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
+    left = deviation - np.median(deviation)
     for _ in range(SWING.rounds):
         scale = float(np.median(np.abs(left))) + 1e-9
         weight = 1.0 / (1.0 + (left / (3.0 * scale)) ** 2)
         spread = float(np.sum(weight * left**2) / np.sum(weight)) + 1e-12
         weighted = rows.T * weight / spread
-        found = np.linalg.solve(weighted @ rows + prior, weighted @ sectors.deviation)
-        left = sectors.deviation - rows @ found
+        found = np.linalg.solve(weighted @ rows + prior, weighted @ deviation)
+        left = deviation - rows @ found
     return np.asarray(left)
