@@ -110,7 +110,8 @@ def _refuse_contradiction(
     rivals = _rivals(measurements, knowledge, place)
     words = min(rivals, key=lambda each: rivals[each].cost)
     best = rivals[words]
-    if best.cost < agreement.cost - CONTRADICTION.odds and best.chance > CONTRADICTION.chance:
+    is_likelier = agreement.cost - best.cost > -2.0 * math.log(CONTRADICTION.chance)
+    if is_likelier and best.chance > CONTRADICTION.chance:
         raise Refusal(
             Reason.HEADING_CONTRADICTED,
             f"The known headings contradict the field: {words}. Corrected so, they agree.",

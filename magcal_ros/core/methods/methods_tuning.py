@@ -78,10 +78,9 @@ class CloudTuning:
 class ContradictionTuning:
     """When known headings contradict field and gyro."""
 
-    chance: float = 1e-3  # least probability of a larger misfit by chance (p-value)
-    odds: float = 12.0
-    """Twice the log likelihood ratio from which another interpretation of the headings is named:
-    four hundred to one."""
+    chance: float = 1e-3
+    """Least probability of a larger misfit by chance (p-value), and of the headings as they were
+    given, against another interpretation of them."""
 
 
 TIP = TipTuning()

@@ -292,7 +292,7 @@ class HeadingLog:
             self._block = []
         direction = math.cos(given.yaw), math.sin(given.yaw)
         self._block.append((stamp, *sample.field, *up, *direction, turn.angle))
-        if stamp - self._block[0][0] < LOG.block or len(self._block) < LOG.fewest:
+        if stamp - self._block[0][0] < LOG.block:
             return False
         mean = np.mean(self._block, axis=0)
         heading = wrapped(math.atan2(mean[8], mean[7]) + shift)

@@ -94,7 +94,6 @@ class HeadingLogTuning:
 
     each: int = 8  # means that are kept in each sector, and new means needed for a fit
     block: float = 0.5  # seconds of a mean
-    fewest: int = 4  # samples of a mean
     rate: float = 0.1  # rad/s from which a delay between heading and field matters
     common: float = math.radians(0.5)
     """Sigma of the device's mounting yaw, radians: a centimetre for antennas a metre apart."""
