@@ -15,6 +15,7 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.sizes import (
+    Predicted,
     effect_factors,
     expected_square,
     noise_sizes,
@@ -39,7 +40,7 @@ class Tolerances:
     rounds: int = 80  # steps at most
     fewest: int = 8  # steps at least
     step: float = 0.05  # of the answer (`answer_of`), in its own sigmas
-    evidence: float = 0.5  # change of minus twice the logarithm of the evidence
+    evidence: float = 0.5  # change of minus twice the logarithm of the evidence that is minimised
     largest_turn: float = 0.4  # radians that a step may turn any node; longer steps are shortened
     places_at: tuple[int, ...] = (7, 11)  # rounds in which the places passed are computed again
     held: int = 3  # first rounds, in which the sigmas of effects keep their usual sizes
@@ -182,25 +183,26 @@ def optimum(
         joint = Joint.at(models, points)
         is_needed, solutions = rounds >= min(fewest, tolerances.rounds), joint.solutions
         evidence = joint.evidence(models, points) if is_needed else math.inf
+        cost = evidence - joint.log_curvature
         share = min(share_of(each, tolerances) for each in solutions)
         answer = np.concatenate([answer_of(models[k], solutions[k]) for k in every])
         moved = float(np.abs(answer).max(initial=0.0))
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
-        converged = converged and abs(evidence - before) < tolerances.evidence
+        converged = converged and abs(cost - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
         ahead = min(tolerances.ahead, tolerances.rounds - rounds)
-        if rounds > fewest and 0.0 <= (before - evidence) * ahead < evidence - limit:
+        if rounds > fewest and 0.0 <= (before - cost) * ahead < evidence - limit:
             break
-        before = evidence
+        before = cost
         if rounds > tolerances.undamped:
-            damping = damping.next(evidence)
+            damping = damping.next(cost)
         for k in every:
             model, point, solution = models[k], points[k], solutions[k]
             if rounds >= tolerances.gaussian:
                 point = _robust(model, point, joint.weighted[k], solution)
             if rounds > 0:
-                sizes[k], point = sizes[k].next(model, point, solution)
+                sizes[k], point = sizes[k].next(model, point, solution, joint.predicted[k])
             stands = stepped(model, point, solution, share * damping.share)
             if rounds >= tolerances.held:
                 # The factors follow from the posterior mean: the point after a whole step.
@@ -223,7 +225,8 @@ def _with_covariance(
     `end` are the rounds, whether they converged, and the last step of the answer.
     """
     windows = list(zip(models, points, joint.solutions, strict=True))
-    wide = agreed(models, [_widened(*each) for each in windows])
+    both = zip(windows, joint.predicted, strict=True)
+    wide = agreed(models, [_widened(*each, predicted) for each, predicted in both])
     widened = Joint.at(models, wide, is_expected=True)
     if not models[0].priors.fields.is_known:
         means = [earth_of(*each) for each in windows]
@@ -328,15 +331,15 @@ def answer_of(model: Model, solution: Solution) -> FloatArray:
 
 @dataclass(frozen=True)
 class Damping:
-    """The share of a step that is taken: less after a step that made the evidence worse."""
+    """The share of a step that is taken: less after a step that made the cost larger."""
 
     share: float = 1.0
-    evidence: float = math.inf
+    cost: float = math.inf
 
-    def next(self, evidence: float) -> Damping:
-        """Return the share of the next step, by the evidence after the last one."""
-        worse = evidence > self.evidence
-        return Damping(0.5 * self.share if worse else min(1.0, 1.5 * self.share), evidence)
+    def next(self, cost: float) -> Damping:
+        """Return the share of the next step, by the cost after the last one."""
+        worse = cost > self.cost
+        return Damping(0.5 * self.share if worse else min(1.0, 1.5 * self.share), cost)
 
 
 def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
@@ -366,9 +369,11 @@ class SizeSteps:
     pace: dict[str, float] | None = None
     steps: dict[str, float] | None = None
 
-    def next(self, model: Model, point: Point, solution: Solution) -> tuple[SizeSteps, Point]:
+    def next(
+        self, model: Model, point: Point, solution: Solution, predicted: Predicted
+    ) -> tuple[SizeSteps, Point]:
         """Return the step and the point after it."""
-        wanted, _, velocity_variance = noise_sizes(model, point, solution)
+        wanted, _ = noise_sizes(model, point, solution, predicted)
         pace, steps = {}, {}
         for name, size in wanted.items():
             step = math.log(size / point.sizes[name])
@@ -378,18 +383,18 @@ class SizeSteps:
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
         return SizeSteps(pace, steps), replace(
-            point, sizes=sizes, velocity_variance=velocity_variance
+            point, sizes=sizes, velocity_variance=predicted.velocity
         )
 
 
-def _widened(model: Model, point: Point, solution: Solution) -> Point:
+def _widened(model: Model, point: Point, solution: Solution, predicted: Predicted) -> Point:
     """Return the point with the root mean squares of the sizes, for the covariance.
 
     The yaw error of non-orthogonal axes is known from the size of the soft iron only, whose mean
     square is used. The motors' field may be a step, or proportional to the rate or the current. A
     steady turn cannot separate these: each may be as large as their sum.
     """
-    _, shown, _ = noise_sizes(model, point, solution)
+    _, shown = noise_sizes(model, point, solution, predicted)
     wide = {
         name: expected_square(size, shown.get(name, 0.0), model.priors.sizes[name])
         for name, size in point.sizes.items()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from magcal_ros.core.smoother.model import (
     prior_at,
     solve_at,
 )
+from magcal_ros.core.smoother.sizes import Predicted
 from magcal_ros.core.smoother.solver import Solution, WeightedResiduals, inverse_and_log_determinant
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
@@ -160,12 +162,22 @@ class Joint:
         )
         return cls(weighted, solutions, determinant)
 
+    @cached_property
+    def predicted(self) -> list[Predicted]:
+        """The variances of the residuals of each window."""
+        return [Predicted.of(each) for each in self.solutions]
+
+    @property
+    def log_curvature(self) -> float:
+        """The part of `evidence` that the iterations do not minimise (`Predicted`)."""
+        return sum(each.log_curvature for each in self.predicted)
+
     def evidence(self, models: Sequence[Model], points: Sequence[Point]) -> float:
         """Return minus twice the logarithm of the evidence by Laplace's approximation.
 
         It is up to a constant of the windows, at the most likely sizes.
         """
-        common, out = common_groups(models), self.log_determinant
+        common, out = common_groups(models), self.log_determinant + self.log_curvature
         for k, (model, point) in enumerate(zip(models, points, strict=True)):
             names = [name for name in AT if common.get(name, k) == k]
             out += _cost_of_nodes(model, point, self.weighted[k])

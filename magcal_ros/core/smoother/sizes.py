@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,23 +19,44 @@ LARGEST_STEP = 0.7
 """Largest step of the logarithm of a noise size, or of the distortion's factor, in one round."""
 
 
+class Predicted(NamedTuple):
+    """The variances of all residuals at the point of a solution."""
+
+    parts: list[tuple[WeightedResiduals, FloatArray]]
+    """Residuals with the sum of the variances of their components, shape (k,)."""
+    velocity: FloatArray  # variance of the nodes' velocities, both axes together. Shape (n,).
+
+    @classmethod
+    def of(cls, solution: Solution) -> Predicted:
+        """Return the variances by the covariance of a solution."""
+        spread = _Spread.of(solution)
+        velocity = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
+        return cls(list(spread.of_predictions(solution.stacks)), velocity)
+
+    @property
+    def log_curvature(self) -> float:
+        """Log determinant of the expected curvature of the cost, minus that of the steps' weights.
+
+        At its mode a Student distribution is sharper than it is wide: Laplace's approximation of
+        the evidence needs the expected curvature. Each residual determines `weight * variance`
+        unknowns, whose information is scaled by the ratio of the two weights.
+        """
+        return sum(
+            float(np.sum(part.weight * variance * np.log(part.expected_share)))
+            for part, variance in self.parts
+        )
+
+
 def noise_sizes(
-    model: Model, point: Point, solution: Solution
-) -> tuple[dict[str, float], dict[str, float], FloatArray]:
+    model: Model, point: Point, solution: Solution, predicted: Predicted
+) -> tuple[dict[str, float], dict[str, float]]:
     """Return the next sizes of the noises, and the effective number of residuals of each.
 
     By MacKay's fixed point (Bayesian interpolation, Neural Computation 4, 1992): the squared
     normalised residuals add up to the number of residuals that the samples determine.
-
-    Returns
-    -------
-    sizes, shown : dict of str to float
-    doubt : ndarray, shape (n,)
-        Variance of the nodes' velocities, (m/s)².
     """
-    spread = _Spread.of(solution)
     sizes, shown = {}, {}
-    for part, variance in spread.of_predictions(solution.stacks):
+    for part, variance in predicted.parts:
         spent = part.weight * variance
         square = part.weight * np.sum(part.linear.residual**2, axis=1)
         for name, rows in part.sized.items():
@@ -52,8 +74,7 @@ def noise_sizes(
             sizes[name] = _next_size(
                 point.sizes[name], total, shown[name], model.priors.sizes[name]
             )
-    velocity_variance = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
-    return sizes, shown, velocity_variance
+    return sizes, shown
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:

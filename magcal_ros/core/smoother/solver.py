@@ -42,7 +42,13 @@ class WeightedResiduals:
         """Student weights divided by the variance, shape (k,)."""
         reach = self.freedom + self.linear.residual.shape[1]
         weight = reach / (self.freedom + self.chi2) / self.variance
-        return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
+        return np.asarray(weight * self.expected_share if self.is_expected else weight)
+
+    @property
+    def expected_share(self) -> FloatArray:
+        """The expected curvature of the cost over the weights of the steps, shape () or (k,)."""
+        reach = np.asarray(self.freedom) + self.linear.residual.shape[1]
+        return np.asarray(reach / (reach + 2.0))
 
     @property
     def imagined(self) -> WeightedResiduals:
