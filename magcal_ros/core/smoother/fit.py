@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoother.joint import Joint, agreed
-from magcal_ros.core.smoother.model import CHANGES, Model, Point, course_at, prior_at, weigh
+from magcal_ros.core.smoother.model import Model, Point, course_at, prior_at, weigh
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
@@ -114,20 +114,6 @@ def without_distortion(found: Fit) -> Fit:
     """Return a fit as the start of another, whose soft iron and axes are as usual at first."""
     groups = {**found.point.groups, "axes": 1.0, "soft_iron": 1.0}
     return replace(found, point=replace(found.point, groups=groups))
-
-
-def with_usual_force(found: Fit, kind: KindOfMotion) -> Fit | None:
-    """Return a fit as the start of another kind of motion, with the usual noise of the force.
-
-    On the spot, this noise contains the acceleration of a robot that drives; where it stays large,
-    there is an optimum without acceleration. None if it is within a sigma of its prior.
-    """
-    noise = found.model.priors.sizes["force"]
-    if found.point.sizes["force"] < noise.usual * math.exp(noise.spread):
-        return None
-    begins = dict(zip(CHANGES, kind.accelerations, strict=True))
-    sizes = {**found.point.sizes, **begins, "force": noise.usual}
-    return replace(found, point=replace(found.point, sizes=sizes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,13 +14,7 @@ from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
-from magcal_ros.core.smoother.fit import (
-    Fit,
-    Tolerances,
-    fit,
-    with_usual_force,
-    without_distortion,
-)
+from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
@@ -58,6 +52,9 @@ DIFFERENT_TURNS = (
 ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
 """Kinds of motion that are also fitted if a turn on the spot explains the samples."""
 ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
+UNTIL_PLACES = Tolerances(rounds=max(Tolerances().places_at) + 1)
+"""Of the first fits of a drive, which end when the places passed are known. The likeliest one is
+continued, and the other kinds then start again from it."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 60.0, 100
@@ -238,7 +235,7 @@ class _MotionFits:
         self._without_false_rests()
         for name in DRIVES if self._samples.rolls else KINDS:
             if name != ON_THE_SPOT and name not in self.fits:
-                self.add(name, tolerances=ROUGH)
+                self.add(name, tolerances=UNTIL_PLACES)
         self._started = max(self._started, len(KINDS))
         if not self.fits:
             return
@@ -256,13 +253,13 @@ class _MotionFits:
 
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
-        self.add(ON_WHEELS, tolerances=ROUGH)
+        self.add(ON_WHEELS, tolerances=UNTIL_PLACES)
         if self._samples.rested is not None or not self.nodes.quiet.any():
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
         # From the same start and for as many rounds as the fit with rests, to be comparable.
-        self.add(ON_WHEELS, tolerances=ROUGH)
+        self.add(ON_WHEELS, tolerances=UNTIL_PLACES)
         moved = self.fits.get(ON_WHEELS)
         if rested is not None and (moved is None or rested.evidence < moved.evidence):
             self.nodes, self.fits[ON_WHEELS] = resting, rested
@@ -320,8 +317,8 @@ def smooth(
             for name in ALTERNATIVES:
                 # At the optimum on the spot, acceleration counts as tilt if axes are silent.
                 trials.add(name, best if trials.gyro_is_whole else trials.fits.get(ON_WHEELS))
-                if (other := with_usual_force(best, KINDS[name])) is not None:
-                    trials.add(name, other)
+                if may_drive(best):
+                    trials.add(name)
     else:
         trials.drives()
     return trials.mixture_of_kinds()
@@ -339,6 +336,17 @@ def expected_sigma(window: Window, knowledge: Knowledge) -> float:
     else:
         trials.drives_roughly()
     return trials.mixture_of_kinds().posterior.heading_sigma
+
+
+def may_drive(spot: Fit) -> bool:
+    """Return whether a turn on the spot leaves open that the robot drove.
+
+    Without a rest, a constant force may be the centripetal acceleration of a circle. A noise of the
+    force beyond a sigma of its prior may be an acceleration that changes.
+    """
+    noise = spot.model.priors.sizes["force"]
+    is_large = spot.point.sizes["force"] > noise.usual * math.exp(noise.spread)
+    return is_large or not bool(spot.point.course.still.any())
 
 
 def gyro_is_usual(fit: Fit) -> bool:
