@@ -37,6 +37,7 @@ from magcal_ros.core.smoother import (
     priors_of,
     smooth,
 )
+from magcal_ros.core.smoother.joint import Joint
 from magcal_ros.core.smoother.start import start
 
 NOBODY = np.eye(3)
@@ -74,6 +75,14 @@ def test_a_drive_gives_the_calibration_within_its_sigma(drive, fitted):
     assert error < 2.5 * stated
     assert fitted.fit.converged
     assert fitted.sectors >= 6
+
+
+def test_the_evidence_has_the_determinant_of_the_expected_curvature(fitted):
+    models, points = [fitted.fit.model], [fitted.fit.point]
+    by_steps = Joint.at(models, points)
+    change = Joint.at(models, points, is_expected=True).log_determinant - by_steps.log_determinant
+    assert change < -100.0
+    assert by_steps.log_curvature == pytest.approx(change, abs=3.0)
 
 
 @pytest.mark.nightly
@@ -279,6 +288,17 @@ def test_small_circles_are_fitted_within_their_sigma(seed):
     error = heading_error(found.posterior.correction, drive.vehicle.robot)
     assert error < 1.8 * math.degrees(found.posterior.heading_sigma)
     assert 2e-6 < found.street < 4e-6
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [691000, 691001, 691002, 691003])
+def test_a_steady_circle_without_a_rest_has_a_correct_sigma(seed):
+    """Its constant force could be that of a robot that leans on the spot, with a gyro bias."""
+    drive = driven(seed, legs=circles(80.0, speed=2.0, radius=4.0))
+    window = Window(*(each[1000::2] for each in (drive.time, drive.field, drive.force, drive.rate)))
+    found = smooth(window, BOSTON)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 2.5 * math.degrees(found.posterior.heading_sigma) < 15.0
 
 
 PARKING = [
