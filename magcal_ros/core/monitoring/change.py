@@ -51,6 +51,7 @@ DIP_BOUND = Bound(
     (None, 3.0, 8.0),
     "inclination differs from the calibrated one by",
     ELSEWHERE,
+    when_refused=f"{ELSEWHERE}; {OTHER_ROBOT}",
 )
 
 
