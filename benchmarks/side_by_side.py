@@ -38,11 +38,15 @@ from realistic_robots import (
     with_force,
     with_motors,
 )
-from simulated.turns import measure, slope_rpy, smooth_wobble, turn
+from simulated.drive import random_vehicle, simulated_drive
+from simulated.legs import circles
+from simulated.travel import travel
+from simulated.turns import Motion, measure, slope_rpy, smooth_wobble, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 TILTED = "no gyro, no reference, swaying: at 10°, "
@@ -61,6 +65,22 @@ def small_circle(radius: float, course: Course | None = None) -> Scenes:
         across = np.array([-direction(rng)[1], 1.0, 0.0])
         acceleration = np.outer(radius * rate**2, across / np.linalg.norm(across))
         return replace(with_force(scene, acceleration), has_course=course is not None), known
+
+    return case
+
+
+def street_circle(radius: float, speed: float) -> Scenes:
+    """Return a minute of steady circles (m, m/s) in a street, which begins and ends in motion."""
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([10, number])
+        vehicle = random_vehicle(rng)
+        truth = travel(circles(80.0, speed=speed, radius=radius), rng)
+        drive = simulated_drive(truth, rng, vehicle, wheels=None, receiver=None)
+        columns = drive.time, drive.field, drive.force, drive.rate, truth.attitude
+        time, samples, force, rate, attitude = (each[1000::2] for each in columns)
+        scene = Scene(vehicle.robot, Motion(time, attitude), Window(time, samples, force, rate))
+        return scene, knowledge_of(51.3, inclination_deg=66.3)
 
     return case
 
@@ -167,6 +187,10 @@ def rows() -> dict[str, Scenes]:
         for kind in ("in step", "by rate", "switching")
     }
     found |= {f"circle of {radius} m, no rest": small_circle(radius) for radius in (0.5, 1.0, 4.0)}
+    found |= {
+        f"circle of {radius} m at {speed} m/s in a street": street_circle(radius, speed)
+        for radius, speed in ((2, 1), (4, 2), (8, 3))
+    }
     found |= {
         f"no rest: {sensors}, {kind}": by_turn(kind, sensors, "open")
         for sensors in ("perfect", "typical", "cheap")
