@@ -23,7 +23,7 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
@@ -51,8 +51,7 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.up.filter import FILTER
 from magcal_ros.core.up.follower import propagated_up
 
-MAP_EVERY = RECORDER.row * RECORDER.chunk
-"""Seconds between points of the map of a drive."""
+MAP_EVERY = 0.5  # seconds between points of the map of a drive
 
 
 def examine_drive(job: DriveJob) -> DriveResult:
