@@ -40,7 +40,7 @@ class Tolerances:
     rounds: int = 80  # steps at most
     fewest: int = 8  # steps at least
     step: float = 0.05  # of the answer (`answer_of`), in its own sigmas
-    evidence: float = 0.5  # change of minus twice the logarithm of the evidence that is minimised
+    cost: float = 0.5  # change of what is minimised (`Joint.cost`)
     largest_turn: float = 0.4  # radians that a step may turn any node; longer steps are shortened
     places_at: tuple[int, ...] = (7, 11)  # rounds in which the places passed are computed again
     held: int = 3  # first rounds, in which the sigmas of effects keep their usual sizes
@@ -168,13 +168,13 @@ def optimum(
             ]
         joint = Joint.at(models, points)
         is_needed, solutions = rounds >= min(fewest, tolerances.rounds), joint.solutions
-        evidence = joint.evidence(models, points) if is_needed else math.inf
-        cost = evidence - joint.log_curvature
+        cost = joint.cost(models, points) if is_needed else math.inf
+        evidence = cost + joint.log_curvature
         share = min(share_of(each, tolerances) for each in solutions)
         answer = np.concatenate([answer_of(models[k], solutions[k]) for k in every])
         moved = float(np.abs(answer).max(initial=0.0))
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
-        converged = converged and abs(cost - before) < tolerances.evidence
+        converged = converged and abs(cost - before) < tolerances.cost
         if converged or rounds == tolerances.rounds:
             break
         ahead = min(tolerances.ahead, tolerances.rounds - rounds)

@@ -169,15 +169,16 @@ class Joint:
 
     @property
     def log_curvature(self) -> float:
-        """The part of `evidence` that the iterations do not minimise (`Predicted`)."""
+        """The sum of the windows' `Predicted.log_curvature`."""
         return sum(each.log_curvature for each in self.predicted)
 
-    def evidence(self, models: Sequence[Model], points: Sequence[Point]) -> float:
-        """Return minus twice the logarithm of the evidence by Laplace's approximation.
+    def cost(self, models: Sequence[Model], points: Sequence[Point]) -> float:
+        """Return what the iterations minimise, up to a constant of the windows.
 
-        It is up to a constant of the windows, at the most likely sizes.
+        With `log_curvature` it is minus twice the logarithm of the evidence by Laplace's
+        approximation, at the most likely sizes.
         """
-        common, out = common_groups(models), self.log_determinant + self.log_curvature
+        common, out = common_groups(models), self.log_determinant
         for k, (model, point) in enumerate(zip(models, points, strict=True)):
             names = [name for name in AT if common.get(name, k) == k]
             out += _cost_of_nodes(model, point, self.weighted[k])
