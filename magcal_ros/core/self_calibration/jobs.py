@@ -171,7 +171,7 @@ def reason_to_accept(kind: CandidateKind, ratio: LikelihoodRatio, fitted: int = 
     if ratio.log_odds(local) - fitted <= SELF_CALIBRATION.proof:
         return ""
     return (
-        f"it predicts the {ratio.seconds:.0f} s of driving since then better, by "
+        f"it explains the {ratio.seconds:.0f} s of driving since then better, by "
         f"{ratio.gain:.0f} units of log likelihood, even if a part of it was disturbed"
     )
 
