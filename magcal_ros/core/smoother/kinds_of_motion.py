@@ -49,8 +49,6 @@ DIFFERENT_TURNS = (
     "their stamps, and check that no samples of a shaking gyro are lost"
 )
 
-ALTERNATIVES = ON_WHEELS, SMALL_CIRCLE
-"""Kinds of motion that are also fitted if a turn on the spot explains the samples."""
 ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
 UNTIL_PLACES = Tolerances(rounds=max(Tolerances().places_at) + 1)
 """Of the first fits of a drive, which end when the places passed are known. The likeliest one is
@@ -194,10 +192,8 @@ class _MotionFits:
         shared[AT["latency"]] = USUALLY_LATE
         for name in MOTORS:
             shared[AT[name]] = 0.0
-        usual = {
-            **dict.fromkeys(MOTORS, 1.0),
-            "latency": USUALLY_LATE / UNKNOWNS["latency"].sigma[0],
-        }
+        usual = dict.fromkeys(MOTORS, 1.0)
+        usual["latency"] = USUALLY_LATE / UNKNOWNS["latency"].sigma[0]
         point = replace(
             spot.point, state=replace(spot.state, shared=shared), groups={**groups, **usual}
         )
@@ -228,6 +224,18 @@ class _MotionFits:
             return usual
         self._priors = priors
         return moved
+
+    def in_other_ways(self, spot: Fit) -> None:
+        """Fit a circle and a drive, too, although a turn on the spot explains the samples."""
+        kinds = SMALL_CIRCLE, ON_WHEELS
+        # At the optimum on the spot, acceleration counts as tilt.
+        for name in kinds if may_drive(spot) or not self.gyro_is_whole else ():
+            self.add(name)
+        found = [spot, *(self.fits[name] for name in kinds if name in self.fits)]
+        likeliest = min(found, key=lambda each: each.evidence)
+        for name in kinds:
+            if self.fits.get(name) is not likeliest:
+                self.add(name, likeliest)
 
     def drives(self) -> None:
         """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
@@ -314,11 +322,7 @@ def smooth(
             trials.something_passes()
         else:
             best = trials.parts_moved(best)
-            for name in ALTERNATIVES:
-                # At the optimum on the spot, acceleration counts as tilt if axes are silent.
-                trials.add(name, best if trials.gyro_is_whole else trials.fits.get(ON_WHEELS))
-                if may_drive(best):
-                    trials.add(name)
+            trials.in_other_ways(best)
     else:
         trials.drives()
     return trials.mixture_of_kinds()

@@ -22,7 +22,8 @@ REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a re
 SHORTEST_LOOP = 5.0  # metres of path between two passes of a place, at least
 NEAR_SHARE, NEAR_LENGTH = 0.3, 2.0
 """Share of the variance that is alike over a few metres only, and their number: in streets 20 to
-40% of it changes within 2 m. Centres are at least as far apart."""
+40% of it changes within 2 m."""
+CLOSEST = 0.25 * NEAR_LENGTH  # metres between centres, at least: fewer lose what a lap repeats
 LEAST_REST = 0.003  # smallest share of the variance that is left to a node
 
 
@@ -63,7 +64,7 @@ class Places:
         again = np.flatnonzero(is_repeated)
         if not len(again):
             return cls.none(len(way), length)
-        rows, apart = _spread_out(way[again], NEAR_LENGTH)
+        rows, apart = _spread_out(way[again], CLOSEST)
         chosen = again[rows]
         if len(again) < len(way):
             apart = length
