@@ -159,13 +159,12 @@ def optimum(
     """
     models, points, every = list(models), list(points), range(len(models))
     sizes, before, damping = [SizeSteps() for _ in models], math.inf, Damping()
+    is_current = not any(model.travels for model in models)  # whether places follow the path
     for rounds in range(first, tolerances.rounds + 1):
         if report is not None:
             report(rounds)
         if rounds in tolerances.places_at:
-            points = [
-                with_places(models[k], points[k]) if models[k].travels else points[k] for k in every
-            ]
+            points = [with_places(*each) for each in zip(models, points, strict=True)]
         joint = Joint.at(models, points)
         is_needed, solutions = rounds >= min(fewest, tolerances.rounds), joint.solutions
         cost = joint.cost(models, points) if is_needed else math.inf
@@ -175,8 +174,13 @@ def optimum(
         moved = float(np.abs(answer).max(initial=0.0))
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
         converged = converged and abs(cost - before) < tolerances.cost
-        if converged or rounds == tolerances.rounds:
+        if rounds == tolerances.rounds or (converged and is_current):
             break
+        if converged:
+            # The path has changed since its places were found.
+            points = [with_places(*each) for each in zip(models, points, strict=True)]
+            is_current, before, damping = True, math.inf, Damping()
+            continue
         ahead = min(tolerances.ahead, tolerances.rounds - rounds)
         if rounds > fewest and 0.0 <= (before - cost) * ahead < evidence - limit:
             break
@@ -342,7 +346,9 @@ def stepped(model: Model, point: Point, solution: Solution, share: float) -> Poi
 
 
 def with_places(model: Model, point: Point) -> Point:
-    """Return the same point with centres of places along the current estimate of the path."""
+    """Return the point with centres of places along the current path, if the robot travels."""
+    if not model.travels:
+        return point
     places = Places.along(point.course, point.state, model.priors.lengths.street)
     state = places.with_disturbance(point.state, point.places.disturbance(point.state))
     return replace(point, places=places, state=state)
