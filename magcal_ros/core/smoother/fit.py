@@ -42,7 +42,7 @@ class Tolerances:
     step: float = 0.05  # of the answer (`answer_of`), in its own sigmas
     cost: float = 0.5  # change of what is minimised (`Joint.cost`)
     largest_turn: float = 0.4  # radians that a step may turn any node; longer steps are shortened
-    places_at: tuple[int, ...] = (7, 11)  # rounds in which the places passed are computed again
+    places_at: int = 7  # round in which the places passed are computed; again at the optimum
     held: int = 3  # first rounds, in which the sigmas of effects keep their usual sizes
     gaussian: int = 5  # first rounds, in which residuals are Gaussian instead of Student
     ahead: int = 10
@@ -105,8 +105,11 @@ def fit(
     definite.
     """
     model = Model.of(nodes, priors, start, kind)
-    point, first, fewest = _begin(model, start, kind, tolerances, like)
-    found = optimum([model], [point], tolerances, first, fewest, report, rival + NEGLIGIBLE)
+    point, first = _begin(model, start, kind, tolerances, like)
+    limit = rival + NEGLIGIBLE
+    # A fit that continues one at its optimum keeps its places: their evidences are compared.
+    keeps = like is not None and like.kind == kind and like.converged
+    found = optimum([model], [point], tolerances, first, report, limit, keeps_places=keeps)
     return found.fits([kind])[0]
 
 
@@ -146,31 +149,32 @@ def optimum(
     models: Sequence[Model],
     points: Sequence[Point],
     tolerances: Tolerances,
-    first: int,
-    fewest: int,
+    first: int = 0,
     report: Callable[[int], object] | None = None,
     limit: float = math.inf,
+    *,
+    keeps_places: bool = False,
 ) -> Optimum:
     """Iterate from initial points to the optimum of all windows.
 
-    `first` is the number of the first round; the iterations may end after round `fewest`. They end
-    early if the evidence will not come below `limit`.
+    `first` is the number of the first round. They end early if the evidence will not come below
+    `limit`. With `keeps_places` the places passed are not found again at the optimum.
     Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
-    models, points, every = list(models), list(points), range(len(models))
+    models, points, fewest = list(models), list(points), min(tolerances.fewest, tolerances.rounds)
     sizes, before, damping = [SizeSteps() for _ in models], math.inf, Damping()
-    is_current = not any(model.travels for model in models)  # whether places follow the path
+    is_current = keeps_places or not any(model.travels for model in models)
     for rounds in range(first, tolerances.rounds + 1):
         if report is not None:
             report(rounds)
-        if rounds in tolerances.places_at:
+        if rounds == tolerances.places_at:
             points = [with_places(*each) for each in zip(models, points, strict=True)]
         joint = Joint.at(models, points)
-        is_needed, solutions = rounds >= min(fewest, tolerances.rounds), joint.solutions
-        cost = joint.cost(models, points) if is_needed else math.inf
+        solutions = joint.solutions
+        cost = joint.cost(models, points) if rounds >= fewest else math.inf
         evidence = cost + joint.log_curvature
         share = min(share_of(each, tolerances) for each in solutions)
-        answer = np.concatenate([answer_of(models[k], solutions[k]) for k in every])
+        answer = np.concatenate([answer_of(*each) for each in zip(models, solutions, strict=True)])
         moved = float(np.abs(answer).max(initial=0.0))
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
         converged = converged and abs(cost - before) < tolerances.cost
@@ -187,8 +191,7 @@ def optimum(
         before = cost
         if rounds > tolerances.undamped:
             damping = damping.next(cost)
-        for k in every:
-            model, point, solution = models[k], points[k], solutions[k]
+        for k, (model, point, solution) in enumerate(zip(models, points, solutions, strict=True)):
             if rounds >= tolerances.gaussian:
                 point = _robust(model, point, joint.weighted[k], solution)
             if rounds > 0:
@@ -293,17 +296,13 @@ def marginal_gradient(
 
 def _begin(
     model: Model, start: State, kind: KindOfMotion, tolerances: Tolerances, like: Fit | None
-) -> tuple[Point, int, int]:
-    """Return the first point, the first round, and the least number of rounds."""
-    last = max(tolerances.places_at) if model.travels else tolerances.fewest
+) -> tuple[Point, int]:
+    """Return the first point and the number of the first round."""
     if like is None:
-        return Point.begin(model, start), 0, last
+        return Point.begin(model, start), 0
     if like.kind == kind:
-        return like.point, max(tolerances.places_at) + 1, last
-    if model.travels and not like.model.travels:
-        # From the optimum on the spot, it is enough to compute the path once.
-        last = min(tolerances.places_at)
-    return like.point.moved_to(model), tolerances.gaussian, last
+        return like.point, tolerances.places_at + 1
+    return like.point.moved_to(model), tolerances.gaussian
 
 
 def share_of(solution: Solution, tolerances: Tolerances) -> float:

@@ -81,9 +81,7 @@ def fit_jointly(
     several tilts. Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models = _with_one_prior([each.model for each in alone], yaw_sigma)
-    travels = any(model.travels for model in models)
-    fewest = max(tolerances.places_at) if travels else tolerances.fewest
-    found = optimum(models, _from_one_start(models, alone), tolerances, 0, fewest)
+    found = optimum(models, _from_one_start(models, alone), tolerances)
     windows = zip(models, found.wide, found.widened.solutions, strict=True)
     informations = [information_of(*each) for each in windows]
     prior = prior_of_common(models, found.wide)

@@ -50,9 +50,9 @@ DIFFERENT_TURNS = (
 )
 
 ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
-UNTIL_PLACES = Tolerances(rounds=max(Tolerances().places_at) + 1)
-"""Of the first fits of a drive, which end when the places passed are known. The likeliest one is
-continued, and the other kinds then start again from it."""
+UNTIL_PLACES = Tolerances(rounds=12)
+"""Of the first fits of a drive, which end soon after the places passed are known. The likeliest one
+is continued, and the other kinds then start again from it."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 60.0, 100
