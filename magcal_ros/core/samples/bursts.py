@@ -24,8 +24,8 @@ def long_gaps(time: FloatArray) -> FloatArray:
     if len(long) < BURSTS.fewest or long.sum() <= BURSTS.share * float(time[-1] - time[0]):
         return gaps[:0]
     usual = float(np.median(long))
-    alike = float(np.mean(np.abs(long - usual) < BURSTS.apart * usual))
-    return long if alike > BURSTS.alike else gaps[:0]
+    apart = float(np.median(np.abs(long - usual)))
+    return long if apart < BURSTS.apart * usual else gaps[:0]
 
 
 def bursts_in_words(time: FloatArray) -> str:

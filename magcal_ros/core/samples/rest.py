@@ -153,7 +153,7 @@ def rests_around(
             first = int(starts[rest.end - 1])
         elif rest.first > 0 and rest.end == count:
             end = int(starts[rest.first + 1])
-    shown = [each.rates for each in rests if each.is_proven] or [each.rates for each in rests]
+    shown = [each.rates for each in rests if each.rests] or [each.rates for each in rests]
     has_bias = rate is not None and bool(shown)
     return first, end, np.median(np.concatenate(shown), axis=0) if has_bias else None
 
@@ -167,11 +167,11 @@ def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Longe
     if not found:
         return None
     longest = max(found, key=lambda each: each.end - each.first)
-    # From block to block, a slow turn may look like a rest.
-    is_turn = longest.shows and not longest.rested
+    if longest.rests is False:
+        return None
     rates = longest.rates
     sigma = math.sqrt(float(rates.var(axis=0, ddof=1).mean()) / len(rates))
-    return None if is_turn else LongestRest(rates.mean(axis=0), sigma, longest.shows)
+    return LongestRest(rates.mean(axis=0), sigma, bool(longest.rests))
 
 
 def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
@@ -196,15 +196,10 @@ class _SteadyInterval(NamedTuple):
     first: int
     end: int
     rates: FloatArray  # mean rates of the blocks, rad/s, shape (b, 3)
-    rested: bool = False
-    """Whether the field changed far less over the whole stretch than by a turn at the gyro's rate.
-    From block to block, a slow turn is not visible."""
-    shows: bool = False  # whether such a turn would have exceeded the limits of the field
-
-    @property
-    def is_proven(self) -> bool:
-        """Whether the field proves that the robot rested."""
-        return self.rested and self.shows
+    rests: bool | None = None
+    """Whether the field changed far less over the whole stretch than by a turn at the gyro's rate:
+    from block to block, a slow turn is not visible. None if such a turn would not exceed the limits
+    of the field."""
 
 
 def _rests(
@@ -215,7 +210,7 @@ def _rests(
     creeps = BIAS_AT_REST.slow_share * float(np.sort(rates)[-BIAS_AT_REST.at_least])
     found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
     means = [float(np.linalg.norm(each.rates.mean(axis=0))) for each in found]
-    return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
+    return [s for s, mean in zip(found, means, strict=True) if s.rests or mean <= creeps]
 
 
 def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_SteadyInterval]:
@@ -246,9 +241,8 @@ def _steady(
         chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
         moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
         shows = chord > BIAS_AT_REST.shown * float(fields.limit[start:end].max())
-        found.append(
-            _SteadyInterval(start, end, inside, moved < BIAS_AT_REST.most_moved * chord, shows)
-        )
+        rests = moved < BIAS_AT_REST.most_moved * chord if shows else None
+        found.append(_SteadyInterval(start, end, inside, rests))
     return found
 
 

@@ -21,9 +21,8 @@ class StreamTuning:
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
     """Tesla, twenty times the Earth's field. More is a unit error or a magnet on the sensor."""
-    largest_force: float = 1e5
-    """m/s². No accelerometer reads more, milli-g published as m/s² included."""
-    largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
+    largest_imu: float = 1e5
+    """m/s² and rad/s. No sensor reads more, milli-g and degrees published as these included."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,8 @@ class BurstTuning:
     share: float = 0.5  # least fraction of the time in gaps between bursts
     longer: float = 5.0  # least length of such a gap, in median gaps
     fewest: int = 10  # least number of such gaps; fewer are pauses
-    alike: float = 0.4
     apart: float = 0.25
-    """Least fraction of gaps within this relative distance of their median: buffers are read at
+    """Largest median distance of the gaps from their median, relative to it: buffers are read at
     regular intervals."""
     each: float = 3.0  # least samples in a burst; pairs are more likely repeated messages
     straight: float = 1.5

@@ -185,9 +185,13 @@ def was_turned_over(window: Window) -> bool:
 
     The mean direction of gravity is then short, and the robot's up is unknown.
     """
-    gravity = gravity_in_body(window.time, window.specific_force, window.angular_rate)
-    mean = unit(gravity).mean(axis=0)
-    return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
+    up = usual_up(window.time, window.specific_force, window.angular_rate)
+    return float(np.linalg.norm(up)) < LEAST_UPRIGHT
+
+
+def usual_up(time: FloatArray, force: FloatArray, rate: FloatArray | None) -> FloatArray:
+    """Return the mean direction (3,) of `gravity_in_body`, which is short if directions vary."""
+    return np.asarray(unit(gravity_in_body(time, force, rate)).mean(axis=0))
 
 
 def with_explanation(refusal: Refusal, window: Window) -> Refusal:
