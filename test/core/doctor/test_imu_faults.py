@@ -29,8 +29,11 @@ from magcal_ros.core.simulation import DEGREE, Robot
 MOST_SEEN = "half minute"
 
 
+examine_once = remembered(examine)
+
+
 def report_of(case, log=None):
-    return examine(log or case.log, case.knowledge, case.turned_left)
+    return examine_once(log or case.log, case.knowledge, case.turned_left)
 
 
 def wrong(report):
@@ -42,15 +45,8 @@ def test_good_sensors_have_no_fault(motion):
     assert wrong(report_of(good_case(np.random.default_rng(11), motion))) == set()
 
 
-ONE_OF_A_KIND = [
-    "gravity's sign",
-    "gyro x, y swapped",
-    "scale +5 %",
-    "bursts of 1 s",
-    "10 % repeats",
-    "saturation",
-    "frozen",
-]
+ONE_OF_A_KIND = ["gravity's sign", "gyro x, y swapped", "scale +5 %", "bursts of 1 s", "frozen"]
+"""Not those of the field alone, which test_health.py has."""
 
 
 @pytest.mark.parametrize(
@@ -102,7 +98,7 @@ def test_the_accelerometer_is_named_if_gyro_and_field_agree(axes):
 
 
 def test_an_imu_upside_down_is_distinguished_from_gravity_of_the_wrong_sign():
-    case = good_case(np.random.default_rng([5, 5]), MOST_SEEN)
+    case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
     over = np.diag([1.0, -1.0, -1.0])
     turned = replace(
         case.log,
@@ -114,7 +110,6 @@ def test_an_imu_upside_down_is_distinguished_from_gravity_of_the_wrong_sign():
     assert wrong(report_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
 
 
-@remembered
 def mirrored_on_the_level(seed):
     """The report on a level turn whose gyro is mirrored."""
     case = good_case(np.random.default_rng([6, seed]), "turn")
@@ -161,7 +156,7 @@ def test_the_latency_of_the_field_is_measured(lag):
     assert not lines["force_latency"].is_wrong
 
 
-@pytest.mark.parametrize("samples", first_of([20, 5]))
+@pytest.mark.parametrize("samples", first_of([5, 20]))
 def test_the_latency_of_the_accelerometer_is_measured(samples):
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
     log = case.log
