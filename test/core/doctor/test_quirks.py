@@ -120,7 +120,7 @@ def is_named(name, seed):
 
 
 ALL = [*CASES, *NORMED]
-ONE_OF_A_KIND = ["imu_3dm_gx4", "Xsens", "Phidgets", "SBG", "ZED", "MPU-9250", "BNO08x"]
+ONE_OF_A_KIND = ["imu_3dm_gx4", "Xsens", "Phidgets", "SBG", "MPU-9250", "BNO08x"]
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_a_field_that_points_up_is_named_where_the_reference_is_uncertain(seed):
     assert any("NED" in finding.remedy for finding in report.findings)
 
 
-@pytest.mark.parametrize("seed", first_of(range(20), 3))
+@pytest.mark.parametrize("seed", first_of(range(20)))
 def test_a_field_that_points_up_on_a_swaying_robot_is_no_single_reversed_axis(seed):
     """All three axes seemed reversed, and the remedy blamed the driver's x."""
     rng = np.random.default_rng(seed)

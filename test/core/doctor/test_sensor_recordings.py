@@ -12,9 +12,9 @@ from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.files import open_recording
 
 GOOD = (
+    "car_drive_neu2022_rahul",
     "broad05",
     "car_circles_neu2025_kiran",
-    "car_drive_neu2022_rahul",
     "car_neu2022_rahul",
     "car_neu2023_huang",
     "car_neu2024_gautham",
