@@ -18,6 +18,7 @@ from magcal_ros.ros import worker_process
 from magcal_ros.ros.magnetometer import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.parameters import Settings
+from magcal_ros.ros.worker_process import WorkerProcess
 
 NOBODY = 65534
 
@@ -67,6 +68,12 @@ class House:
 
     def note_error(self, error):
         self.errors.append(error)
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Fit without a process of its own, whose start takes longer than the fit."""
+    monkeypatch.setattr(WorkerProcess, "run", lambda _, function, *given: function(*given))
 
 
 def no_room(*_, **__):
@@ -137,7 +144,7 @@ def test_a_refused_start_of_a_process():
     assert "cannot be started: Resource temporarily unavailable" in words
 
 
-def test_a_memory_error_of_the_report():
+def test_a_memory_error_of_the_report(in_this_process):
     house = House()
     house.report = no_room
     answer = turn_in(house)
@@ -146,7 +153,7 @@ def test_a_memory_error_of_the_report():
     assert len(house.errors) == 1
 
 
-def test_a_memory_error_when_the_calibration_is_put_in_force():
+def test_a_memory_error_when_the_calibration_is_put_in_force(in_this_process):
     house = House()
     house.use = no_room
     answer = turn_in(house)
@@ -155,7 +162,7 @@ def test_a_memory_error_when_the_calibration_is_put_in_force():
     assert len(house.errors) == 1
 
 
-def test_a_memory_error_at_the_end_of_a_turn():
+def test_a_memory_error_at_the_end_of_a_turn(in_this_process):
     house = House()
     house.turn_ended = no_room
     assert turn_in(house).success
@@ -204,7 +211,7 @@ def test_a_verdict_without_a_caller_is_given_once_to_the_next_finish():
     control.shut_down()
 
 
-def test_up_gets_the_bias_of_the_gyro_by_a_turn_without_a_rest():
+def test_up_gets_the_bias_of_the_gyro_by_a_turn_without_a_rest(in_this_process):
     house = House()
     assert turn_in(house).success
     (found,) = house.biases
