@@ -6,16 +6,32 @@ unknowns; its inverse is their covariance. The time is linear in the number of n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
-from scipy.special import gammaln
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Residuals, put
 from magcal_ros.core.smoother.unknowns import LOCAL
+
+
+@cache
+def normaliser(freedom: float, width: int) -> float:
+    """Return what the cost of a Student distribution has beyond one of a Gaussian.
+
+    It depends on the degrees of freedom and the number of components only, and is zero for
+    infinitely many degrees of freedom.
+    """
+    half = 0.5 * freedom
+    gone = math.lgamma(half) - math.lgamma(half + 0.5 * width)
+    return 2.0 * gone + width * math.log(half)
+
+
+# By the standard library: scipy's special functions take longer to load than a turn to fit.
+normalisers = np.frompyfunc(normaliser, 2, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +88,9 @@ class WeightedResiduals:
 
     @property
     def normaliser(self) -> FloatArray:
-        """What each cost has beyond one of a Gaussian with the same variance, shape () or (k,).
-
-        It depends on the degrees of freedom only, and is zero for infinitely many.
-        """
-        half, width = 0.5 * np.asarray(self.freedom), self.linear.residual.shape[1]
-        gone = gammaln(half) - gammaln(half + 0.5 * width)
-        return np.asarray(2.0 * gone + width * np.log(half))
+        """What each cost has beyond one of a Gaussian with the same variance, shape () or (k,)."""
+        found = normalisers(self.freedom, self.linear.residual.shape[1])
+        return np.asarray(found, dtype=np.float64)
 
     @property
     def cost(self) -> float:
