@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from long_form import first_of
+from remembered import remembered
 from support import REFERENCE, ROBOT
 
 from magcal_ros.core.samples import ImuSample, Streams
@@ -70,10 +71,15 @@ class House:
         self.errors.append(error)
 
 
+@remembered
+def result_of(function, *arguments):
+    return function(*arguments)
+
+
 @pytest.fixture
 def in_this_process(monkeypatch):
-    """Fit without a process of its own, whose start takes longer than the fit."""
-    monkeypatch.setattr(WorkerProcess, "run", lambda _, function, *given: function(*given))
+    """Fit without a process of its own, and the same samples once."""
+    monkeypatch.setattr(WorkerProcess, "run", lambda _, *call: result_of(*call))
 
 
 def no_room(*_, **__):

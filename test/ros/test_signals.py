@@ -10,7 +10,7 @@ import time
 import pytest
 import rclpy
 from long_form import rounds
-from support import AT_ONCE, PATIENCE, ROBOT, store_calibration, turn_by
+from support import AT_ONCE, IMU_RATE, PATIENCE, ROBOT, store_calibration, turn_by
 
 from magcal_ros.files import read_calibration, read_samples
 from magcal_ros.ros.rehearsal import Rehearsal
@@ -36,7 +36,7 @@ def run_node(graph, ros_home):
         )
         processes.append(process)
         nodes.append(rclpy.create_node("actor"))
-        actor = Rehearsal(nodes[-1], ROBOT, speed=8.0)
+        actor = Rehearsal(nodes[-1], ROBOT, speed=8.0, imu_rate=IMU_RATE)
         actor.wait_for_node()
         return process, actor
 
