@@ -5,13 +5,16 @@ import sys
 import pytest
 from remembered import remembered
 
-from magcal_ros.core.doctor import SensorReport, sensor_report
+from magcal_ros.cli import check
+from magcal_ros.core.doctor import SensorReport, sensor_report, turn_fit
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
 
 CALIBRATE = remembered(recorded.calibrate)
 CALIBRATE_TURNS = remembered(recorded.calibrate_turns)
+CHECK = remembered(check.check)
+SMOOTH = remembered(turn_fit.smooth)
 
 
 @pytest.fixture(autouse=True)
@@ -27,6 +30,8 @@ def one_fit(monkeypatch):
     """Fit the same samples once for all commands."""
     monkeypatch.setattr(recorded, "calibrate", CALIBRATE)
     monkeypatch.setattr(recorded, "calibrate_turns", CALIBRATE_TURNS)
+    monkeypatch.setattr(check, "check", CHECK)
+    monkeypatch.setattr(turn_fit, "smooth", SMOOTH)
 
 
 @pytest.fixture
