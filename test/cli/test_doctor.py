@@ -2,19 +2,27 @@ import json
 import re
 
 import numpy as np
+import pytest
 import yaml
 from axes_cases import cheap_robot, wrong_case
 from drives import write_bag
 from imu_faults_cases import good_case
+from long_form import first_of
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
-from magcal_ros.core.doctor import SensorReport
+from magcal_ros.core.doctor import SensorReport, sensor_report
 from magcal_ros.core.geometry import signed_permutations
 from magcal_ros.core.samples import FieldSample, ImuSample
 
 NED = np.diag([1.0, -1.0, -1.0])
+
+
+@pytest.fixture
+def axes_alone(monkeypatch):
+    """Fit no turn after the axes are found: it takes most of the time, and changes none."""
+    monkeypatch.setattr(sensor_report, "fit_turn", lambda *_: None)
 
 
 def record(folder, axes, scale=1.0, every=2):
@@ -64,7 +72,7 @@ def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):
     )
 
 
-def test_the_parameter_to_change_is_printed_and_written(tmp_path, capsys):
+def test_the_parameter_to_change_is_printed_and_written(tmp_path, capsys, axes_alone):
     file = tmp_path / "\x1b[31mparams.yaml"
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
     printed = capsys.readouterr().out
@@ -77,7 +85,7 @@ def test_the_parameter_to_change_is_printed_and_written(tmp_path, capsys):
     assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
 
 
-def test_a_fault_that_no_mounting_corrects_is_not_written(tmp_path, capsys):
+def test_a_fault_that_no_mounting_corrects_is_not_written(tmp_path, capsys, axes_alone):
     file = tmp_path / "params.yaml"
     arguments = record(tmp_path / "bag", signed_permutations()[24])
     assert main(["doctor", *arguments, "--json", "--write", str(file)]) == 4
@@ -87,7 +95,7 @@ def test_a_fault_that_no_mounting_corrects_is_not_written(tmp_path, capsys):
     assert not file.exists()
 
 
-def test_an_existing_file_is_not_overwritten(tmp_path, capsys):
+def test_an_existing_file_is_not_overwritten(tmp_path, capsys, axes_alone):
     file = tmp_path / "params.yaml"
     file.write_text("mine")
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 5
@@ -144,9 +152,10 @@ def test_bursts_are_reported_once_with_the_mean_rate(tmp_path, capsys):
     assert "look  recording" not in printed
 
 
-def test_the_option_named_by_a_refused_fit_corrects_it(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("method", first_of(["design_tip", "maximum_likelihood"]))
+def test_the_option_named_by_a_refused_fit_corrects_it(tmp_path, capsys, monkeypatch, method):
     monkeypatch.chdir(tmp_path)
-    arguments = record(tmp_path / "bag", NED, every=3)
+    arguments = [*record(tmp_path / "bag", NED, every=3), "--method", method]
     assert main(["fit", *arguments, "--output", "refused"]) == 4
     (option,) = set(
         re.findall(r"repeat with `(--[^`]*)`", " ".join(capsys.readouterr().out.split()))

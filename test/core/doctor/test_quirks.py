@@ -22,11 +22,18 @@ from magcal_ros.core.doctor import (
     WRAP,
     examine,
     examine_window,
+    sensor_report,
 )
 from magcal_ros.core.geometry import interpolated, rotation_from_rpy
 from magcal_ros.core.simulation import Robot
 
 MOTION = "half minute"
+
+
+@pytest.fixture(autouse=True)
+def axes_alone(monkeypatch):
+    """Fit no turn after the comparison: it takes most of the time, and names no driver."""
+    monkeypatch.setattr(sensor_report, "fit_turn", lambda *_: None)
 
 
 def case_of(seed):
@@ -217,7 +224,7 @@ def test_a_field_that_points_up_is_named_where_the_reference_is_uncertain(seed):
     assert any("NED" in finding.remedy for finding in report.findings)
 
 
-@pytest.mark.parametrize("seed", first_of(range(20)))
+@pytest.mark.parametrize("seed", first_of([2, *(seed for seed in range(20) if seed != 2)]))
 def test_a_field_that_points_up_on_a_swaying_robot_is_no_single_reversed_axis(seed):
     """All three axes seemed reversed, and the remedy blamed the driver's x."""
     rng = np.random.default_rng(seed)

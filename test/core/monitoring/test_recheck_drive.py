@@ -12,14 +12,21 @@ from magcal_ros.core import Figure, Grade, Refusal, Window, calibrate, check
 from magcal_ros.core.samples import log_of
 
 
-@pytest.fixture(scope="module")
-def driven():
+def a_drive(seconds):
+    """The window of a drive, and the calibration of its vehicle by a turn."""
     rng = np.random.default_rng(5)
     vehicle = random_vehicle(rng)
-    drive = simulated_drive(travel(city(rng, 240.0), rng), rng, vehicle, wheels=None, receiver=None)
+    drive = simulated_drive(
+        travel(city(rng, seconds), rng), rng, vehicle, wheels=None, receiver=None
+    )
     made = calibrate(measure(vehicle.robot, turn(), rng, gyro=True), vehicle.robot.knowledge())
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     return window, made.calibration
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return a_drive(240.0)
 
 
 def swing(drive, calibration):
@@ -55,8 +62,8 @@ def test_a_check_uses_the_hard_iron_by_the_drive(driven):
     assert found.state == "stale"
 
 
-def test_a_short_drive_shows_nothing(driven):
-    window, calibration = driven
+def test_a_short_drive_shows_nothing():
+    window, calibration = a_drive(30.0)
     part = window.take(window.time <= window.time[0] + 20.0)
     with pytest.raises(Refusal, match="headings"):
         check(part, calibration, drive=log_of(part))
