@@ -38,3 +38,9 @@ def one_fit(monkeypatch):
 def right_axes(monkeypatch):
     """Look for no wrong axes after a quick fit, which takes a tenth of that time."""
     monkeypatch.setattr(sensor_report, "wrong_axes", lambda *_: None)
+
+
+@pytest.fixture
+def axes_alone(monkeypatch):
+    """Fit no turn after the axes are found: it takes most of the time, and changes none."""
+    monkeypatch.setattr(sensor_report, "fit_turn", lambda *_: None)

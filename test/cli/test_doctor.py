@@ -12,17 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
-from magcal_ros.core.doctor import SensorReport, sensor_report
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.core.geometry import signed_permutations
 from magcal_ros.core.samples import FieldSample, ImuSample
 
 NED = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.fixture
-def axes_alone(monkeypatch):
-    """Fit no turn after the axes are found: it takes most of the time, and changes none."""
-    monkeypatch.setattr(sensor_report, "fit_turn", lambda *_: None)
 
 
 def record(folder, axes, scale=1.0, every=2):

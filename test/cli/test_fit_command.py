@@ -302,7 +302,7 @@ def test_omitted_repetitions_are_reported(fit, tmp_path):
     repeated = list(zip(fields[::3], fields[1::3], strict=False))
     for k, after in repeated:
         samples[after] = samples[after]._replace(field=samples[k].field)
-    _, out, _ = fit(write_csv(tmp_path / "csv", samples))
+    _, out, _ = fit(write_csv(tmp_path / "csv", samples), "--method", "design_tip")
     printed = f"{len(repeated)} of {len(fields)} samples repeat the previous one and are left out"
     assert f"mag.csv: {printed}" in out
 

@@ -129,7 +129,7 @@ def test_check_compares_with_the_autopilots_own_yaw(tmp_path, capsys):
     assert float(own[0].split("scattered by ")[1].split("°")[0]) < 5.0
 
 
-def test_the_doctor_reads_a_log(tmp_path, capsys):
+def test_the_doctor_reads_a_log(tmp_path, capsys, axes_alone):
     pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
     assert main(["doctor", str(write_bin(tmp_path / "a.BIN", SAMPLES)), *REFERENCE]) in (0, 4)
     assert "field: unit" in capsys.readouterr().out
