@@ -5,7 +5,7 @@ import json
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
-from support import PATIENCE, REFERENCE, calibrate_quickly
+from support import PATIENCE, REFERENCE, calibrate_quickly, wait_until
 
 from magcal_ros.cli.live_view import progress_of, status_of
 from magcal_ros.files import LONGEST_FRAME, read_calibration, read_samples
@@ -47,7 +47,7 @@ def test_a_frame_is_not_used_as_a_path_or_markup(stage, ros_home, frame):
     assert loaded.success, loaded.message
     (folder,) = (ros_home / "magcal" / "reports").iterdir()
     assert f"Report: {folder}/report.html." in answer.message
-    actor.run(PATIENCE, stop=(folder / "report.html").exists)
+    wait_until((folder / "report.html").exists)
     page = (folder / "report.html").read_text()
     assert "/imu/mag and /imu/data_raw" in page
     assert "<svg" in page

@@ -24,6 +24,9 @@ FARTHEST_AHEAD = 40
 LOST_AFTER = 0.5
 """Seconds after which messages that have not arrived count as lost."""
 
+WAITING_SPEED = 2.0
+"""Fastest time of a robot at rest that waits for an answer, often for that of a fit."""
+
 
 class PacedRobot(Rehearsal):
     """A robot whose time waits for the node: no machine is too slow for it."""
@@ -41,6 +44,13 @@ class PacedRobot(Rehearsal):
 
         self.source.publish = counted
         self._arrived = self._count()
+
+    def answer(self, future):
+        usual, self.speed = self.speed, min(self.speed, WAITING_SPEED)
+        try:
+            return super().answer(future)
+        finally:
+            self.speed = usual
 
     def _count(self):
         inputs = self._audience and self._audience._inputs
