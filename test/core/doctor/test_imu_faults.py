@@ -21,6 +21,7 @@ from magcal_ros.core.doctor import (
     gravity_misfit,
     prepare,
     segment_of_log,
+    turn_fit,
 )
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
 from magcal_ros.core.samples import SensorLog
@@ -30,6 +31,13 @@ MOST_SEEN = "half minute"
 
 
 examine_once = remembered(examine)
+smooth_once = remembered(turn_fit.smooth)
+
+
+@pytest.fixture(autouse=True)
+def one_fit(monkeypatch):
+    """Fit samples once: where wrong axes are corrected they are those of the good sensors."""
+    monkeypatch.setattr(turn_fit, "smooth", smooth_once)
 
 
 def report_of(case, log=None):
@@ -83,7 +91,7 @@ def test_two_faults_at_once_are_both_named(pair):
 
 @pytest.mark.parametrize("number", first_of([17, 30, 1, 5, 24, 47]))
 def test_the_magnetometer_is_named_if_gyro_and_accelerometer_agree(number):
-    case = good_case(np.random.default_rng([5, 3]), MOST_SEEN)
+    case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
     axes = signed_permutations()[number]
     report = report_of(case, replace(case.log, field=case.log.field @ axes.T))
     assert wrong(report) == {"field_axes"}
@@ -91,7 +99,7 @@ def test_the_magnetometer_is_named_if_gyro_and_accelerometer_agree(number):
 
 @pytest.mark.parametrize("axes", first_of([np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]))
 def test_the_accelerometer_is_named_if_gyro_and_field_agree(axes):
-    case = good_case(np.random.default_rng([5, 4]), MOST_SEEN)
+    case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
     keys = wrong(report_of(case, replace(case.log, force=case.log.force @ axes.T)))
     assert keys & {"force_axes", "imu_axes", "gravity_sign"}
     assert not keys & {"gyro_axes", "field_axes"}
