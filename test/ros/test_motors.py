@@ -107,6 +107,11 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
         now_running.motor_state(stamp, replace(known, reference=a)).current for a in (0.5, 2.0)
     ]
     assert found == [2.5, 1.0]
+    # Another calibration keeps the inputs of the motors.
+    loaded = actor.answer(actor.call("load"))
+    assert loaded.success, loaded.message
+    actor.run(0.5)
+    assert actor.status["motors"]["inputs"].keys() == reported.keys()
 
 
 def test_a_robot_without_known_motors_reports_none(loaded):

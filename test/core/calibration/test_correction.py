@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core import Correction
+from magcal_ros.core.calibration import MotorField, MotorInput
 from magcal_ros.core.geometry import rotation_from_rpy
 
 seeds = st.integers(0, 10_000)
@@ -70,3 +71,22 @@ def test_a_correction_is_immutable():
     assert correction.matrix[0, 0] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         correction.matrix[0, 0] = 7.0
+
+
+def motors_of(inputs, size):
+    """A field of the motors whose gains and usual inputs are all of one size."""
+    count = 3 * len(inputs)
+    gain, covariance = np.full((len(inputs), 3), size), size**2 * np.eye(count)
+    usual = (size,) * len(inputs)
+    return MotorField(inputs, gain, covariance, np.full((12, count), size), size, usual)
+
+
+def test_a_newer_motor_field_keeps_what_only_the_older_one_has():
+    newer = motors_of((MotorInput.MOVING, MotorInput.CURRENT), 1.0)
+    older = motors_of((MotorInput.CURRENT, MotorInput.SPEED), 2.0)
+    both = newer.combined_with(older)
+    assert both.inputs == (MotorInput.MOVING, MotorInput.CURRENT, MotorInput.SPEED)
+    np.testing.assert_array_equal(both.gain[:, 0], [1.0, 1.0, 2.0])
+    np.testing.assert_array_equal(np.diag(both.covariance), np.repeat([1.0, 1.0, 4.0], 3))
+    np.testing.assert_array_equal(both.cross_covariance[0], np.repeat([1.0, 1.0, 0.0], 3))
+    assert (both.ripple, both.usual) == (1.0, (1.0, 1.0, 2.0))
