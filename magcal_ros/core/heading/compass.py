@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import INPUTS, PARAMETERS, MotorField, MotorState
+from magcal_ros.core.calibration.correction import PARAMETERS, MotorField, MotorState
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
+from magcal_ros.core.heading.motor_inputs import FieldOfInputs
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
 
@@ -102,8 +103,8 @@ class Compass:
         variances, directions = np.linalg.eigh(_body_covariance(calibration))
         self._errors = directions * np.sqrt(np.maximum(variances, 0.0))
         self.motors: MotorField | None = None
+        self._motors: FieldOfInputs | None = None
         self._now: MotorFieldFilter | None = None
-        self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
         self._local = local**2 * np.asarray(a @ a.T)
@@ -112,12 +113,9 @@ class Compass:
 
     def use_motors(self, motors: MotorField | None) -> None:
         """Use another estimate of the motors' field from now on."""
-        self.motors, self._gains = motors, ()
+        self.motors, self._motors = motors, None
         if motors is not None:
-            self._gains = tuple(
-                (INPUTS.index(each), float(gain[0]), float(gain[1]), float(gain[2]))
-                for each, gain in zip(motors.inputs, motors.gain, strict=True)
-            )
+            self._motors = FieldOfInputs(motors.inputs, motors.gain)
             if self._now is None:
                 own = level_field_covariance(self.calibration)
                 matrix = self.calibration.correction.matrix
@@ -126,13 +124,7 @@ class Compass:
 
     def without_motors(self, raw: Triple, motor_state: MotorState) -> Triple:
         """Return a raw field, tesla, without the motors' field."""
-        x, y, z = raw
-        values = motor_state.values
-        for place, by_x, by_y, by_z in self._gains:
-            value = values[place]
-            if value and not math.isnan(value):
-                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
-        return (x, y, z)
+        return raw if self._motors is None else self._motors.subtracted(raw, motor_state)
 
     def correct(self, raw: Triple) -> Triple:
         """Return the field of a robot at rest in body axes, tesla."""
@@ -207,16 +199,6 @@ class Compass:
         variance += lasting + noise + other
         own = variance, by_east, by_north, noise, lasting, (*errors.tolist(), 0.0)
         return Heading(roll, pitch, yaw, tilt, *own)
-
-
-def field_variance(calibration: Calibration) -> float:
-    """Return the variance of the corrected field by the calibration, tesla².
-
-    It is the mean over all attitudes and axes.
-    """
-    rows = np.diag(_body_covariance(calibration)).reshape(3, 4)
-    matrix, offset = rows[:, :3].sum() / 3.0, rows[:, 3].sum()
-    return float(calibration.strength**2 * matrix + offset) / 3.0
 
 
 def level_field_covariance(calibration: Calibration) -> FloatArray:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
-from magcal_ros.core.heading.compass import field_variance
+from magcal_ros.core.heading.compass import level_field_covariance
 from magcal_ros.core.heading.heading_tuning import DISTURBANCE, FUSION
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG
@@ -76,8 +78,8 @@ class FieldDeviation:
         # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
         self._calibrated = self._expected = max(calibration.strength, 1e-9), calibration.inclination
-        noise = calibration.noise_field**2 + field_variance(calibration)
-        self._noise = noise / self._calibrated[0] ** 2
+        own = float(np.trace(level_field_covariance(calibration))) / 3.0
+        self._noise = (calibration.noise_field**2 + own) / self._calibrated[0] ** 2
         self._mean = self._calibrated
         self._stamp = -math.inf
         self._mean_excess = self._seconds = 0.0

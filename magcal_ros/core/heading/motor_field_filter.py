@@ -147,10 +147,9 @@ class MotorFieldFilter:
     def use(self, motors: MotorField) -> None:
         """Use another estimate of the motors' field from now on."""
         self._field = FieldByInputs(motors, self._matrix)
-        usual = self._field.usual
-        most = usual.otherwise + usual.level + self._share() * usual.square
         # Motors within the noise of a sample are not worth the computation.
-        self._is_felt = bool(np.trace(most) > np.trace(self._noise))
+        usual = self._field.usual(self._share())
+        self._is_felt = bool(np.trace(usual) > np.trace(self._noise))
         if len(self._change) != len(motors.inputs):
             self._change = np.zeros(len(motors.inputs))
         if self._block is not None:

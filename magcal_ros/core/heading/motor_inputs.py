@@ -115,6 +115,24 @@ class MotorInputs(NamedTuple):
         )
 
 
+class FieldOfInputs:
+    """K u in plain floats, in the unit and axes of the `gain` (n, 3)."""
+
+    def __init__(self, inputs: tuple[MotorInput, ...], gain: FloatArray) -> None:
+        self._gains: list[tuple[int, float, float, float]] = [
+            (INPUTS.index(each), *own) for each, own in zip(inputs, gain.tolist(), strict=True)
+        ]
+
+    def subtracted(self, field: Triple, motor_state: MotorState) -> Triple:
+        """Return a field minus K u."""
+        (x, y, z), every = field, motor_state.values
+        for at, by_x, by_y, by_z in self._gains:
+            value = every[at]
+            if value and not math.isnan(value):
+                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
+        return (x, y, z)
+
+
 class FieldByInputs:
     """The field of the motors by their inputs, K u, in µT and body axes.
 
@@ -125,10 +143,7 @@ class FieldByInputs:
         count = len(motors.inputs)
         self._motors = motors
         self.gains = motors.gain @ matrix.T * MICROTESLA
-        self._by_input: tuple[tuple[int, float, float, float], ...] = tuple(
-            (INPUTS.index(each), *gain)
-            for each, gain in zip(motors.inputs, self.gains.tolist(), strict=True)
-        )
+        self.subtracted = FieldOfInputs(motors.inputs, self.gains).subtracted
         turn = np.kron(np.eye(count), matrix) * MICROTESLA
         by_gains = turn @ motors.covariance @ turn.T
         self._by_gains = by_gains.reshape(count, 3, count, 3).transpose(1, 3, 0, 2)
@@ -152,24 +167,16 @@ class FieldByInputs:
             level, unknown = level + unknown, np.zeros((3, 3))
         return MotorInputs(motor_state, values, square, otherwise, level, unknown, holds)
 
-    @property
-    def usual(self) -> MotorInputs:
-        """The inputs of a robot whose motors run as usual."""
+    def usual(self, share: float) -> FloatArray:
+        """Return the covariance of the field of motors that run as usual, µT², shape (3, 3).
+
+        `share` is the squared relative residual.
+        """
         values = np.array(self._motors.usual)
         known = values @ self.gains
-        square, level = known[:, None] * known, self._ripple + self.by_gains(values)
-        none = np.zeros((3, 3))
-        return MotorInputs(MotorState(1.0), values, square, self._whole, level, none, False)
+        own = self._ripple + self.by_gains(values) + share * known[:, None] * known
+        return np.asarray(self._whole + own)
 
     def by_gains(self, values: FloatArray) -> FloatArray:
         """Return the covariance of K u by that of the gains, for some inputs or their change."""
         return np.asarray((self._by_gains @ values) @ values)
-
-    def subtracted(self, field: Triple, motor_state: MotorState) -> Triple:
-        """Return a field minus K u."""
-        (x, y, z), every = field, motor_state.values
-        for at, by_x, by_y, by_z in self._by_input:
-            value = every[at]
-            if value and not math.isnan(value):
-                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
-        return (x, y, z)
