@@ -29,11 +29,13 @@ from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
     BODY_FIELD,
+    EARTH,
     SHARED,
     STREET,
     VELOCITY,
 )
 
+_ROWS = {name: np.arange(at.start, at.stop) for name, at in AT.items()}
 OF_A_MOMENT = ("gyro_bias", "bias_walk", "drift", "gradient", "place")
 """Groups of shared unknowns that are separate for each window."""
 OF_A_TURN = ("gyro_matrix", "lever_arm", "sway_arm", "axis", "upright")
@@ -91,7 +93,7 @@ def is_own(model: Model, counted: IntArray) -> BoolArray:
 
 def rows_of(groups: Sequence[str]) -> IntArray:
     """Return the indices of the shared unknowns of some groups."""
-    return np.concatenate([np.arange(AT[name].start, AT[name].stop) for name in groups])
+    return np.concatenate([_ROWS[name] for name in groups])
 
 
 def agreed(models: Sequence[Model], points: Sequence[Point]) -> list[Point]:
@@ -223,16 +225,15 @@ def _cost_of_nodes(model: Model, point: Point, weighted: dict[str, WeightedResid
 
 def _cost_of_shared(model: Model, point: Point, names: Iterable[str]) -> float:
     """Return minus twice the log prior of some groups of shared unknowns."""
-    off, scales, cost = point.state.shared - model.priors.mean, model.scales(point.groups), 0.0
+    names, scales = list(names), model.scales(point.groups)
+    rows = rows_of([name for name in names if name != "earth"])
+    rows = rows[scales[rows] > 0.0]
+    off, scale = (point.state.shared - model.priors.mean)[rows], scales[rows]
+    cost = float(np.sum((off / scale) ** 2 + 2.0 * np.log(scale)))
+    if "earth" in names:
+        cost += model.earth.cost(point.state.shared[EARTH])
     known: dict[str, float] = {}
     for name in names:
-        at = AT[name]
-        if name == "earth":
-            cost += model.earth.cost(point.state.shared[at])
-            continue
-        seen = scales[at] > 0.0
-        scale = scales[at][seen]
-        cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
         if model.priors.spread[name] > 0.0:
             # The factor of non-orthogonal axes follows from that of the distortion.
             if name != "axes":

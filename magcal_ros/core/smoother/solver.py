@@ -252,7 +252,13 @@ def _of_nodes(
 
 def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, float]:
     """Return the inverse of a positive definite matrix, and the logarithm of its determinant."""
-    values, vectors = np.linalg.eigh(information)
+    try:
+        factor = np.linalg.cholesky(information)
+        back = np.linalg.inv(factor)
+        return back.T @ back, float(2.0 * np.log(np.diagonal(factor)).sum())
+    except np.linalg.LinAlgError:
+        # By rounding errors the smallest eigenvalues may be negative.
+        values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, 1e-12 * values[-1])
     return (vectors / values) @ vectors.T, float(np.sum(np.log(values)))
 
