@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.doctor_tuning import WIDE, AlignmentPriors
 from magcal_ros.core.doctor.prepared import Segment
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import (
     chained,
     crossed,
@@ -76,24 +76,21 @@ def align(
 
     Parameters as for `AlignmentFit`.
     """
-    problem, noise = AlignmentFit(segment, axes, gyro, with_up), START_NOISE
-    at = problem.descend(problem.linearised(problem.start()), noise, FIRST_STEPS)
-    information, _, cost = problem.normal_equations(at, noise)
-    state, rms, misfit = at.state.copy(), at.rms, cost - cost.min()
-    kept = np.arange(len(axes))
+    fit, kept = AlignmentFit(segment, axes, gyro, with_up), np.arange(len(axes))
+    at = fit.descend(fit.start(), START_NOISE, FIRST_STEPS)
+    state, rms, misfit = at.state.copy(), at.rms, at.cost - at.cost.min()
     for limit, steps in ROUNDS:
-        left = misfit[kept] <= limit
-        kept, at = kept[left], at.of(left)
-        problem = AlignmentFit(segment, axes[kept], gyro[kept], with_up)
-        best = int(np.argmin(cost[left]))
-        noise = problem.noise(at, best)
-        problem.share = np.array([1.0 / inefficiency(values) for values in at.residual[best]])
-        at = problem.descend(at, noise, steps)
-        information, _, cost = problem.normal_equations(at, noise)
-        state[kept], rms[kept], misfit[kept] = at.state, at.rms, cost - cost.min()
+        left = np.flatnonzero(misfit[kept] <= limit)
+        best = left[np.argmin(at.cost[left])]
+        noise = noise_of(at.residual[best], at.state[best])
+        kept = kept[left]
+        fit = AlignmentFit(segment, axes[kept], gyro[kept], with_up)
+        fit.share = np.array([1.0 / inefficiency(values) for values in at.residual[best]])
+        at = fit.descend(at.state[left], noise, steps)
+        state[kept], rms[kept], misfit[kept] = at.state, at.rms, at.cost - at.cost.min()
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
-    covariance[kept] = np.linalg.inv(information)
-    attitude = problem.propagate(at.state)[0][int(np.argmin(cost))]
+    covariance[kept] = np.linalg.inv(at.information)
+    attitude = fit.propagate(at.state)[0][np.argmin(at.cost)]
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
     # Deviation of the attitudes from a turn about one axis.
@@ -125,32 +122,27 @@ def inefficiency(residual: FloatArray) -> float:
     return total
 
 
+def noise_of(residual: FloatArray, state: FloatArray) -> FloatArray:
+    """Return the noise per axis (s,) of the sensors, by the residuals (s, n, 3) of a candidate."""
+    typical = np.sqrt(np.median(np.sum(residual**2, axis=2), axis=1) / 2.37)
+    whole = float(np.linalg.norm(state[FIELD]))
+    floors = [WIDE.field_floor * max(1.0, whole), WIDE.up_floor]
+    return np.asarray(np.maximum(typical, floors[: len(residual)]))
+
+
 class Linearisation(NamedTuple):
-    """The states (k, 23) of all candidates, with residuals and the Jacobian of the predictions.
+    """All k candidates at one state each; the first of the s sensors is the field, then up."""
 
-    Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
-    """
-
-    state: FloatArray
-    residual: FloatArray
-    jacobian: FloatArray
+    state: FloatArray  # shape (k, 23)
+    residual: FloatArray  # shape (k, s, n, 3)
+    information: FloatArray  # shape (k, 23, 23)
+    gradient: FloatArray  # shape (k, 23)
+    cost: FloatArray  # twice the negative logarithm of the posterior, shape (k,)
 
     @property
     def rms(self) -> FloatArray:
         """The typical residual of the field, shape (k,)."""
         return np.asarray(np.sqrt(np.median(np.sum(self.residual[:, 0] ** 2, axis=2), axis=1)))
-
-    def of(self, chosen: BoolArray) -> Linearisation:
-        """Return the linearisation of the chosen candidates (k,)."""
-        return Linearisation(*(values[chosen] for values in self))
-
-    def improved(self, tried: Linearisation, better: BoolArray) -> Linearisation:
-        """Return `tried`, overwritten by this one for the candidates (k,) that are not better."""
-        if better.all():
-            return tried
-        for old, new in zip(self, tried, strict=True):
-            new[~better] = old[~better]
-        return tried
 
 
 class AlignmentFit:
@@ -227,8 +219,8 @@ class AlignmentFit:
         moved[:, 1:] = attitude[:, 1:] @ pushes
         return attitude, moved
 
-    def linearised(self, state: FloatArray) -> Linearisation:
-        """Return the residuals and the Jacobian at states (k, 23)."""
+    def residuals(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (k, s, n, 3) and the predictions' Jacobian (k, s, n, 3, 23)."""
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
@@ -249,24 +241,11 @@ class AlignmentFit:
             up = np.einsum("knij,kj->kni", attitude, state[:, UP])
             residual[:, 1] = self.segment.up - up
             jacobian[:, 1][..., OF_UP] = np.concatenate([attitude, turned(up, moved)], axis=3)
-        return Linearisation(state, residual, jacobian)
+        return residual, jacobian
 
-    def noise(self, at: Linearisation, best: int) -> FloatArray:
-        """Return the noise per axis (s,) from the residuals of one candidate."""
-        values = at.residual[best]
-        typical = np.sqrt(np.median(np.sum(values**2, axis=2), axis=1) / 2.37)
-        whole = float(np.linalg.norm(at.state[best, FIELD]))
-        floors = [WIDE.field_floor * max(1.0, whole), WIDE.up_floor]
-        return np.asarray(np.maximum(typical, floors[: self.sensors]))
-
-    def normal_equations(
-        self, at: Linearisation, noise: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights.
-
-        The cost is twice the negative logarithm of the posterior.
-        """
-        state, residual, jacobian = at
+    def linearised(self, state: FloatArray, noise: FloatArray) -> Linearisation:
+        """Return residuals and normal equations at states (k, 23), with robust weights."""
+        residual, jacobian = self.residuals(state)
         nu, sigma = WIDE.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
         chi2 = np.sum(residual**2, axis=3) / sigma**2
@@ -276,25 +255,21 @@ class AlignmentFit:
         gradient = (weighted @ residual.reshape(len(state), -1, 1))[..., 0] - state @ self.prior
         cost = np.einsum("ki,ij,kj->k", state, self.prior, state)
         cost += np.sum(share * np.log1p(chi2 / nu), axis=(1, 2))
-        return weighted @ rows + self.prior, gradient, cost
+        return Linearisation(state, residual, weighted @ rows + self.prior, gradient, cost)
 
-    def descend(self, at: Linearisation, noise: FloatArray, steps: int) -> Linearisation:
+    def descend(self, state: FloatArray, noise: FloatArray, steps: int) -> Linearisation:
         """Take Levenberg-Marquardt steps, each candidate with its own damping."""
-        damping = np.full(len(at.state), 1e-4)
-        information, gradient, cost = self.normal_equations(at, noise)
+        at, damping = self.linearised(state, noise), np.full(len(state), 1e-4)
         for _ in range(steps):
-            diagonal = np.einsum("kii->ki", information)[..., None] * np.eye(PARAMETERS)
-            damped = information + damping[:, None, None] * diagonal
-            step = np.linalg.solve(damped, gradient[..., None])[..., 0]
-            tried = self.linearised(at.state + step)
-            again = self.normal_equations(tried, noise)
-            better = again[2] < cost
-            settled = bool((np.abs(cost - again[2]) < SETTLED).all())
+            damped = at.information * (1.0 + damping[:, None, None] * np.eye(PARAMETERS))
+            step = np.linalg.solve(damped, at.gradient[..., None])[..., 0]
+            tried = self.linearised(at.state + step, noise)
+            better = tried.cost < at.cost
+            settled = bool((np.abs(at.cost - tried.cost) < SETTLED).all())
             damping = np.where(better, damping * 0.2, damping * 20.0)
-            at = at.improved(tried, better)
-            information = np.where(better[:, None, None], again[0], information)
-            gradient = np.where(better[:, None], again[1], gradient)
-            cost = np.where(better, again[2], cost)
+            for old, new in zip(at, tried, strict=True):
+                new[~better] = old[~better]
+            at = tried
             if settled:
                 break
         return at

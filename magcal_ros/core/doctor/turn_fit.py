@@ -21,8 +21,8 @@ from magcal_ros.core.doctor.alignment import (
     PARAMETERS,
     START_NOISE,
     AlignmentFit,
-    Linearisation,
     inefficiency,
+    noise_of,
 )
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, per_metre
 from magcal_ros.core.doctor.doctor_tuning import AXES, FORCE_PRIORS, TURN, WIDE
@@ -167,21 +167,22 @@ def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
         if part is None:
             break
         fit = AlignmentFit(part, *axes, with_up=False, priors=FORCE_PRIORS)
-        at = fit.descend(fit.linearised(fit.start()), START_NOISE, AXES.rounds)
-        found = _force_latency_by(fit, at, lag)
+        found = _force_latency_by(fit, lag)
         if abs(found.value - lag) < AXES.settled:
             break
         lag = found.value
     return found
 
 
-def _force_latency_by(fit: AlignmentFit, at: Linearisation, lag: float) -> Belief:
+def _force_latency_by(fit: AlignmentFit, lag: float) -> Belief:
     """Return the latency by a fit to single samples, if `lag` is already subtracted."""
+    at = fit.descend(fit.start(), START_NOISE, AXES.rounds)
     for _ in range(2):
-        at = fit.descend(at, fit.noise(at, 0), AXES.rounds)
-    residual, nu = at.residual[0, 0], WIDE.freedom
+        at = fit.descend(at.state, noise_of(at.residual[0], at.state[0]), AXES.rounds)
+    residual, jacobian = (values[0, 0] for values in fit.residuals(at.state))
+    nu = WIDE.freedom
     arm = AXES.lever * per_metre(fit.rate[0], fit.segment.time) / fit.segment.size
-    design = np.concatenate([at.jacobian[0, 0], arm], axis=2)
+    design = np.concatenate([jacobian, arm], axis=2)
     prior = np.eye(design.shape[2])
     prior[:PARAMETERS, :PARAMETERS] = fit.prior
     start = np.append(at.state[0], np.zeros(3))
