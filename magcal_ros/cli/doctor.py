@@ -23,8 +23,8 @@ from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.doctor.guide import ASKED, Guide
 from magcal_ros.core.doctor.health import (
     Finding,
+    ok_or_severe,
     ok_or_warning,
-    severe_finding,
     undetermined,
 )
 from magcal_ros.core.doctor.sensor_report import SensorReport, examine
@@ -100,7 +100,7 @@ class DoctorInput:
         described = f"magnetometer at {self.described}"
         if report.mount_rpy_deg is not None:
             radians = " ".join(f"{math.radians(angle):.4g}" for angle in report.mount_rpy_deg)
-            return severe_finding(
+            return ok_or_severe(
                 "description",
                 "description",
                 f"{described}, but measured differently",
@@ -371,7 +371,7 @@ def gathered(
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
     more = [ok_or_warning("reference", "reference", words, words) for words in reference.complaints]
     more += [
-        severe_finding("publishers", "publishers", words, SEVERAL_PUBLISHERS)
+        ok_or_severe("publishers", "publishers", words, SEVERAL_PUBLISHERS)
         for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)

@@ -207,7 +207,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
-        elif _is_full(estimate.arc):
+        elif estimate.arc * DEGREES > FULL_ARC_DEG:
             # Only a full turn separates a steady sideways acceleration from a slope. A fit with
             # the gyro has estimated this acceleration, and the gyro's bias and axes.
             steady = figures.get(Figure.STEADY_ACCELERATION)
@@ -241,10 +241,6 @@ def _is_drive(figures: Mapping[Figure, float]) -> bool:
     return Figure.HEADINGS_DRIVEN in figures
 
 
-def _is_full(arc: float) -> bool:
-    return arc * DEGREES > FULL_ARC_DEG
-
-
 def _check(
     bound: Bound,
     estimate: Estimate,
@@ -260,7 +256,7 @@ def _check(
     leans = figures.get(Figure.AXIS_LEAN, 0.0) * DEGREES > UPRIGHT.good
     if bound.figure is Figure.AXIS_LEAN or (bound.after_full and leans):
         bound = replace(bound, remedy=against_lean)
-    elif bound.after_full and _is_full(figures[Figure.ARC]):
+    elif bound.after_full and figures[Figure.ARC] * DEGREES > FULL_ARC_DEG:
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
         hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
@@ -312,15 +308,20 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
 
 
+def gravity_fault(size: float) -> str:
+    """Return the likely cause if a size of gravity, m/s² as published, is wrong; else empty."""
+    if abs(size / STANDARD_GRAVITY - 1.0) <= TUNING.gravity_misfits[1]:
+        return ""
+    return likely_acceleration_unit(size) or "check the accelerometer's range and scale"
+
+
 def _check_gravity(window: Window) -> Check:
     size = gravity_size(window.time, window.specific_force, window.angular_rate)
-    misfit = abs(size / STANDARD_GRAVITY - 1.0)
-    excellent, good = TUNING.gravity_misfits
-    grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD
+    is_excellent = abs(size / STANDARD_GRAVITY - 1.0) <= TUNING.gravity_misfits[0]
+    grade = Grade.EXCELLENT if is_excellent else Grade.GOOD
     words = f"acceleration at rest {size:.3g} m/s²"
-    if not misfit <= good:
+    if hint := gravity_fault(size):
         grade = Grade.WARN
-        hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
         words += f" is not gravity's ({STANDARD_GRAVITY:.2f} m/s²): {hint}"
     return Check(Figure.GRAVITY, Aspect.QUALITY, grade, words)
 

@@ -13,8 +13,8 @@ from magcal_ros.core.doctor.axes_hypotheses import AxesHypotheses
 from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
 from magcal_ros.core.doctor.health import (
     Finding,
+    ok_or_severe,
     ok_or_warning,
-    severe_finding,
     undetermined,
     vector_in_words,
 )
@@ -30,7 +30,7 @@ from magcal_ros.core.geometry.rotations import (
     swapped,
 )
 from magcal_ros.core.knowledge import CLEAR, Knowledge
-from magcal_ros.core.samples.units import LEAST_UPRIGHT
+from magcal_ros.core.samples.units import LEAST_UPRIGHT, usual_up
 from magcal_ros.core.samples.window import SensorLog
 
 NOSE = "lift the nose by 20° while the robot turns"
@@ -60,7 +60,8 @@ def check_gravity_direction(
     Return a finding, and whether gravity's sign is wrong; None if either the sign or the IMU's axes
     are. `turned_left` is whether the user turned the robot to the left; None if unknown.
     """
-    name, usual = "accelerometer: up", _usual_up(log)
+    name = "accelerometer: up"
+    usual = usual_up(log.imu_time, log.force, log.rate if log.has_gyro else None)
     if np.linalg.norm(usual) < LEAST_UPRIGHT:
         return undetermined("gravity_sign", name, STAND), False
     usual = usual / np.linalg.norm(usual)
@@ -68,28 +69,14 @@ def check_gravity_direction(
     if usual[2] > LEAST_UPRIGHT:
         return ok_or_warning("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
-        return severe_finding("imu_axes", name, evidence, upward_axis_in_words(usual)), False
+        return ok_or_severe("imu_axes", name, evidence, upward_axis_in_words(usual)), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
         None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
         True: ("gravity_sign", WRONG_SIGN),
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
-    return severe_finding(key, name, evidence, words), flipped
-
-
-def _usual_up(log: SensorLog) -> FloatArray:
-    """Return the median direction of the force (3,), which is short if the directions vary.
-
-    Only the quarter with the slowest rates is used: a sensor that is swung by hand measures mostly
-    other accelerations than gravity.
-    """
-    force = log.force
-    if log.has_gyro:
-        slowest = np.argsort(np.linalg.norm(log.rate, axis=1), kind="stable")
-        force = force[slowest[: 1 + len(slowest) // 4]]
-    size = np.linalg.norm(force, axis=1, keepdims=True)
-    return np.asarray(np.median(force / np.maximum(size, 1e-9), axis=0))
+    return ok_or_severe(key, name, evidence, words), flipped
 
 
 def upward_axis_in_words(up: FloatArray) -> str:
@@ -338,9 +325,9 @@ def _findings_on_axes(
         asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {either}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
-        return AxesDiagnosis((severe_finding("axes", "axes", evidence, asked),), fewest[0], axes)
+        return AxesDiagnosis((ok_or_severe("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
-    line = severe_finding(f"{KEYS[names]}_axes", f"{names}: axes", evidence, remedies[names])
+    line = ok_or_severe(f"{KEYS[names]}_axes", f"{names}: axes", evidence, remedies[names])
     return AxesDiagnosis((line,), fewest[0], axes)
 
 

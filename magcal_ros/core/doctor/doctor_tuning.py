@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from magcal_ros.core.smoother.unknowns import ANY_WAY, KINDS, UNKNOWNS
+
 
 @dataclass(frozen=True)
 class AlignmentPriors:
@@ -24,7 +26,8 @@ class AlignmentPriors:
     it, radians."""
     bias: float = math.radians(6.0)  # rad/s, standard deviation of the gyro's bias
     scale: float = 0.2  # standard deviation of the gyro's scale error
-    lag: float = 0.3  # seconds, standard deviation of the field's latency
+    lag: float = UNKNOWNS["latency"].sigma[0] * UNKNOWNS["latency"].most
+    """Seconds, standard deviation of the field's latency: the largest of the smoother."""
     hard_iron: float = 4.0  # standard deviation of the hard iron over the field's size
     field_floor: float = math.radians(0.5)
     up_floor: float = math.radians(2.0)
@@ -50,9 +53,8 @@ class AxesTuning:
     lift: float = math.radians(3.0)
     """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
     worst_fit: float = 0.3
-    """Residual, relative to the changing field, beyond which no hypothesis is accepted. The field
-    must change by more from sample to sample of a turn than noise, and in a span by more than
-    this."""
+    """Residual, relative to the changing field, beyond which no hypothesis is accepted, and largest
+    change of the field from sample to sample of a turn."""
     most_named: int = 3  # candidates that are described for one sensor
     most: int = 32  # hypotheses that are fitted
     doubtful: float = 12.0
@@ -66,14 +68,10 @@ class AxesTuning:
     least_turn: float = math.radians(40.0)
     """Radians, smallest turn between two attitudes. The guide waits for twice as much."""
     span: float = 0.6
-    """Seconds over which turns are compared: noise dominates shorter turns, bias longer ones. For
-    the gyro's unit the field must change, too, for which longer ones are tried."""
-    lever: float = 1.0
+    """Seconds over which turns are compared: noise dominates shorter turns, bias longer ones."""
+    lever: float = KINDS[ANY_WAY].lever_arm
     """Metres, standard deviation of the lever arm: from the elbow for a sensor that is swung by
     hand, from the rear axle in a vehicle."""
-    unit_ratio: float = 5.0
-    """Ratio of two rates within which they are in the same unit: from the field's changes, the
-    turn is known so roughly."""
 
 
 AXES = AxesTuning()
@@ -137,13 +135,12 @@ class HealthTuning:
     with a warning: places along a road cause up to 4%."""
     spiky_gap: float = 0.07  # seconds between samples up to which a movement causes no spikes
     coarse: float = 0.5e-6  # tesla, resolution of the field
-    lattice: float = 0.05  # largest deviation of numbers from a grid, relative to its step
+    lattice: float = 0.05  # mean deviation of numbers from a grid, relative to its step
     saturated: tuple[int, float] = (5, 1.5)
     """Smallest number of cells, along the other two axes, in which a saturated axis is at its
     extreme, and its ratio to the cells just below the extreme. A cell has a twentieth of the
     field's size."""
     by_chance: float = 1e-6  # probability of a constant axis below which it is called stuck
-    gravity: float = 0.15  # relative difference of the usual specific force from gravity
     fewest: int = 50  # samples below which a stream is not checked
     field_noise: float = 3e-6
     rate_noise: float = 0.3

@@ -19,7 +19,6 @@ from magcal_ros.core.doctor.motion import (
     TURN_BETWEEN_RESTS,
     MotionResult,
 )
-from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
 from magcal_ros.core.doctor.turn_fit import TurnFit
 from magcal_ros.core.geometry.attitude import unit
@@ -69,11 +68,7 @@ def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belie
 
 
 def with_field(
-    lines: list[Finding],
-    prepared: CleanLog,
-    found: MotionResult,
-    knowledge: Knowledge,
-    turn: TurnFit | None,
+    lines: list[Finding], found: MotionResult, knowledge: Knowledge, turn: TurnFit | None
 ) -> list[Finding]:
     """Return the lines with findings on the field, if a hypothesis explains the movement."""
     if found.hypothesis is None or found.body is None:
@@ -85,7 +80,7 @@ def with_field(
             undetermined("motors", MOTORS, UNIT_FIRST),
         ]
     lines = [*lines, reference_finding(found.hypothesis, knowledge, found.up_is_down)]
-    if prepared.restamped or not np.isfinite(found.body.rate).all():
+    if found.prepared.restamped or not np.isfinite(found.body.rate).all():
         return lines
     shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in lines)
     motors = motors_finding(turn, found.hypothesis, shown)

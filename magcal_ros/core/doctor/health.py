@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.assessment.verdict import gravity_fault
 from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
@@ -17,7 +18,6 @@ from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
     NOT_NUMBERS,
-    likely_acceleration_unit,
     likely_field_unit,
     slow_words,
 )
@@ -49,9 +49,9 @@ def ok_or_warning(key: str, name: str, evidence: str, remedy: str = "") -> Findi
     return Finding(key, name, Grade.WARN if remedy else Grade.EXCELLENT, evidence, remedy)
 
 
-def severe_finding(key: str, name: str, evidence: str, remedy: str) -> Finding:
-    """Return a finding on a fault that makes headings wrong."""
-    return Finding(key, name, Grade.REFUSED, evidence, remedy)
+def ok_or_severe(key: str, name: str, evidence: str, remedy: str) -> Finding:
+    """Return a finding: of a fault that makes headings wrong if there is a remedy."""
+    return Finding(key, name, Grade.REFUSED if remedy else Grade.EXCELLENT, evidence, remedy)
 
 
 def undetermined(key: str, name: str, why: str) -> Finding:
@@ -99,7 +99,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         # The median gap is within a burst and does not give the rate.
         rate = len(gaps) / float(time[-1] - time[0])
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
-        return severe_finding("bursts", f"{name}: stamps", evidence, words)
+        return ok_or_severe("bursts", f"{name}: stamps", evidence, words)
     remedy = (
         "the stamps jitter: stamp each sample in the driver when it is measured, if possible by "
         "the sensor's own clock"
@@ -161,38 +161,31 @@ def field_findings(field: FloatArray) -> list[Finding]:
     """Check raw field samples, tesla, shape (n, 3), in the order of arrival."""
     size = usual_size(field)
     unit = likely_field_unit(size)
-    line = severe_finding if unit else ok_or_warning
-    words = f"usually {_in_words(size, unit)}, hard iron included"
-    found = [line(WRONG_UNIT, "field: unit", words, unit)]
+    usually = f"usually {_in_words(size, unit)}, hard iron included"
     step = max(_step(field[:, axis]) for axis in range(3))
-    words = "choose a finer range of the sensor, or average in the driver"
-    evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
+    steps = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
+    finer = "choose a finer range of the sensor, or average in the driver"
     is_coarse = step > HEALTH.coarse and not unit
-    found.append(ok_or_warning("resolution", "field: resolution", evidence, words * is_coarse))
     full = [axis for axis in range(3) if saturated(field, axis).any()]
-    largest = float(np.abs(field).max())
-    words = (
+    largest = f"at most {_in_words(float(np.abs(field).max()), unit)} on an axis"
+    wider = (
         f"{_axes(full)} reached the end of the range: choose a wider range, or move the sensor "
         "away from magnets"
     )
-    line, evidence = (
-        severe_finding if full else ok_or_warning,
-        f"at most {_in_words(largest, unit)} on an axis",
-    )
-    found.append(line("saturation", "field: range", evidence, words * bool(full)))
-    found.append(alive_finding("field", field))
-    return found
+    return [
+        ok_or_severe(WRONG_UNIT, "field: unit", usually, unit),
+        ok_or_warning("resolution", "field: resolution", steps, finer * is_coarse),
+        ok_or_severe("saturation", "field: range", largest, wider * bool(full)),
+        alive_finding("field", field),
+    ]
 
 
 def gravity_size_finding(force: FloatArray, size: float) -> Finding:
     """Check the size of gravity that specific forces (n, 3) show, m/s² as published."""
-    hint = ""
-    if abs(size / STANDARD_GRAVITY - 1.0) > HEALTH.gravity:
-        hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     off = size / STANDARD_GRAVITY - 1.0
     evidence = f"{vector_in_words(np.median(force, axis=0))} m/s², {size:.2f} in all, "
     evidence += f"{round(off, 3) + 0.0:+.1%} off gravity"
-    return ok_or_warning("force_unit", "accelerometer: unit", evidence, hint)
+    return ok_or_warning("force_unit", "accelerometer: unit", evidence, gravity_fault(size))
 
 
 def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
@@ -210,7 +203,7 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
             return ok_or_warning("frozen", f"{name}: axes alive", evidence, words)
         if len(still) == 2:
             words += f", and publishes the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
-    return severe_finding("frozen", f"{name}: axes alive", evidence, words)
+    return ok_or_severe("frozen", f"{name}: axes alive", evidence, words)
 
 
 def up_axis(force: FloatArray) -> int:
@@ -284,16 +277,15 @@ def _axes(which: list[int]) -> str:
 def _step(values: FloatArray) -> float:
     """Return the step of numbers (n,) on a regular grid; zero if they are on none."""
     gaps = np.diff(np.unique(values))
+    # Conversion to float32 makes grids slightly uneven.
     gaps = gaps[gaps > 1e-6 * float(np.abs(values).max())]
     if len(gaps) < 3:
         return 0.0
-    step = float(gaps.min())
-    # Conversion to float32 makes grids slightly uneven.
-    step = float(np.median(gaps[gaps < 1.5 * step]))
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     near = gaps[gaps < 9.5 * step] / step
-    off = np.abs(near - np.rint(near))
-    on_grid = len(near) > 0.5 * len(gaps) and float((off < HEALTH.lattice).mean()) > 0.97
-    return step if on_grid else 0.0
+    # The usual deviation of numbers on no grid from whole numbers is a quarter.
+    off = float(np.abs(near - np.rint(near)).mean())
+    return step if len(near) > 0.5 * len(gaps) and off < HEALTH.lattice else 0.0
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:

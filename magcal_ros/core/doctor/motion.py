@@ -19,14 +19,14 @@ from magcal_ros.core.doctor.axes_hypotheses import (
     AxesHypotheses,
     AxesHypothesis,
     compare_axes,
-    rate_factors,
+    likely_rate_factor,
 )
 from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS, is_vague
 from magcal_ros.core.doctor.health import (
     Finding,
     dead_axes,
+    ok_or_severe,
     ok_or_warning,
-    severe_finding,
     undetermined,
     vector_in_words,
 )
@@ -74,12 +74,12 @@ GRAVITY_FIRST = "correct the accelerometer as described below, then check again"
 class MotionResult:
     """The findings of the comparison, and the hypothesis behind them."""
 
+    prepared: CleanLog  # the clean log that was compared
     findings: tuple[Finding, ...]
     axes: PossibleAxes | None = None
     """The possible axes of the magnetometer; None if they are not determined."""
-    hypothesis: AxesHypothesis | None = (
-        None  # the chosen hypothesis; None if none explains the movement
-    )
+    hypothesis: AxesHypothesis | None = None
+    """The chosen hypothesis; None if none explains the movement."""
     factor: float = 1.0  # converts the gyro's numbers to rad/s
     up_is_down: bool | None = False
     """Whether gravity's sign is wrong; None if undecided."""
@@ -94,23 +94,28 @@ def compare(
 ) -> MotionResult:
     """Compare accelerometer, gyro and field."""
     log = prepared.log
+    if prepared.is_short:
+        return MotionResult(prepared, ())
     if not log.has_gyro:
         found = ok_or_warning("no_gyro", "gyro", "absent", NO_GYRO)
-        return MotionResult((found, check_gravity_direction(log, None, None, turned_left)[0]))
+        up = check_gravity_direction(log, None, None, turned_left)[0]
+        return MotionResult(prepared, (found, up))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = segment_of_log(body)
     # The field must change by more than its noise.
     if part is None or usual_size(np.diff(part.field, axis=0)) >= AXES.worst_fit:
-        return _nothing_shown(log, None, turned_left)
+        return _nothing_shown(prepared, None, turned_left)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
     rates = interpolated(time, body.imu_time, body.rate)
     rest = longest_rest(time, body.field[inside], rates)
-    factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
-    given, factor = _explained(body, factors, knowledge, bias)
+    # Only a rest that the field proves is reported.
+    rest = rest if rest is not None and rest.is_certain else None
+    likely = likely_rate_factor(part)
+    given, factor = _explained(body, likely, knowledge, bias)
     if given is None:
-        return _nothing_shown(log, _certain(rest), turned_left)
+        return _nothing_shown(prepared, rest, turned_left)
     body = replace(body, rate=factor * body.rate)
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
@@ -124,28 +129,26 @@ def compare(
     if stands.is_wrong and not up_is_down and any(each.is_wrong for each in diagnosis.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
         diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
-    findings = [_unit(factor, factors is None), stands, *diagnosis.findings]
+    findings = _unit(factor, likely), stands, *diagnosis.findings
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
     return MotionResult(
-        tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body, _certain(rest)
+        prepared, findings, diagnosis.axes, hypothesis, factor, up_is_down, body, rest
     )
 
 
-def findings_by_turn(
-    prepared: CleanLog, found: MotionResult, turn: TurnFit | None
-) -> list[Finding]:
+def findings_by_turn(found: MotionResult, turn: TurnFit | None) -> list[Finding]:
     """Return the findings on errors of the gyro and on latencies, if the movement is explained.
 
     If those of field and accelerometer are equal, the gyro's stamps are early.
     """
     if found.hypothesis is None or found.body is None:
         return []
-    why = NO_BURSTS if prepared.restamped else FULL_TURN
+    why = NO_BURSTS if found.prepared.restamped else FULL_TURN
     # Each of several possible corrections of the axes would give other errors.
     is_clear = not any(each.key == "axes" and each.is_wrong for each in found.findings)
     clear = (turn, why) if is_clear else (None, AXES_FIRST)
     lines = _gyro_errors(found.hypothesis, found, *clear)
-    if prepared.restamped:
+    if found.prepared.restamped:
         return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
     field = Belief.unknown() if turn is None else turn.latency
     force = force_latency(found.body, found.hypothesis)
@@ -192,7 +195,7 @@ def _latency(
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
+    log: SensorLog, factor: float, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[AxesHypotheses | None, float]:
     """Explain the movement, with a known error of the gyro's unit if only this one fits well."""
 
@@ -200,24 +203,23 @@ def _explained(
         inclination = knowledge.reference.inclination
         return compare_axes(replace(log, rate=factor * log.rate), inclination, factor * bias)
 
-    slips = [(way, f) for f in factors or () if (way := explained(f)) is not None]
-    found = [each for each in slips if each[0].confirms_unit]
-    # Rates in a wrong unit take longest to fit as they are, so the known errors come first.
-    if not found:
-        given = explained(1.0)
-        # After too small a turn, a unit that may be right is kept. Among magnetic objects, as in a
-        # street, no unit fits the field well.
-        if given is not None and not given.fits_well:
-            found = [each for each in slips if each[0].is_better(given)]
-        if not found:
-            return given, 1.0
-    return min(found, key=lambda one: float(one[0].rms.min()))
+    # Rates in a wrong unit take longest to fit as they are, so a known error comes first.
+    slip = None if factor == 1.0 else explained(factor)
+    if slip is not None and slip.confirms_unit:
+        return slip, factor
+    given = explained(1.0)
+    # After too small a turn, a unit that may be right is kept. Among magnetic objects, as in a
+    # street, no unit fits the field well.
+    if given is not None and slip is not None and not given.fits_well and slip.is_better(given):
+        return slip, factor
+    return given, 1.0
 
 
 def _nothing_shown(
-    log: SensorLog, rest: LongestRest | None, turned_left: bool | None
+    prepared: CleanLog, rest: LongestRest | None, turned_left: bool | None
 ) -> MotionResult:
     """Return the findings without a comparison; a rest still shows the gyro's bias."""
+    log = prepared.log
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
     bias = undetermined("gyro_bias", "gyro: bias", why)
     findings = (
@@ -227,11 +229,11 @@ def _nothing_shown(
         undetermined("latency", "field: latency", why),
         check_gravity_direction(log, None, None, turned_left)[0],
     )
-    return MotionResult(findings)
+    return MotionResult(prepared, findings)
 
 
-def _unit(factor: float, turns_alike: bool) -> Finding:
-    if factor == 1.0 and not turns_alike:
+def _unit(factor: float, likely: float) -> Finding:
+    if factor != likely:
         return undetermined("rate_unit", "gyro: unit", "turn on the spot, away from iron")
     if factor == 1.0:
         return ok_or_warning("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
@@ -239,14 +241,9 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     words = (
         f"the gyro's rates are {times:.3g} times too {size}, which looks like "
-        f"{dict(UNIT_ERRORS)[factor]}; multiply them by {factor:.6g} in the driver"
+        f"{UNIT_ERRORS[factor]}; multiply them by {factor:.6g} in the driver"
     )
-    return severe_finding("rate_unit", "gyro: unit", evidence, words)
-
-
-def _certain(rest: LongestRest | None) -> LongestRest | None:
-    """Return the rest if the field proves it."""
-    return rest if rest is not None and rest.is_certain else None
+    return ok_or_severe("rate_unit", "gyro: unit", evidence, words)
 
 
 def _gyro_errors(

@@ -44,6 +44,11 @@ class CleanLog:
     findings: tuple[Finding, ...]  # faults of each stream by itself, and of the clocks
     restamped: bool  # whether stamps came in bursts and were spread evenly
 
+    @property
+    def is_short(self) -> bool:
+        """Whether there are too few samples to compare the sensors."""
+        return min(len(self.log.imu_time), len(self.log.field_time)) < 3
+
 
 def prepare(log: SensorLog) -> CleanLog:
     """Check each stream of a log by itself, and clean the log."""
@@ -140,7 +145,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
             if span[1] - span[0] > HEALTH.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: check its wiring, and its driver's error messages"
-                found.append(health.severe_finding("frozen", f"{name}: alive", words, remedy))
+                found.append(health.ok_or_severe("frozen", f"{name}: alive", words, remedy))
                 stuck.append(span)
                 break
     if not stuck or not len(log.imu_time):
@@ -184,7 +189,7 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
         return log, ()
     size = f"{abs(off):.1f} s" if abs(off) < 1e5 else f"{abs(off):.4g} s"
     evidence = f"the field's are {size} {'later' if off > 0.0 else 'earlier'} than the IMU's"
-    line = health.severe_finding("clocks", "stamps: clocks", evidence, ONE_CLOCK)
+    line = health.ok_or_severe("clocks", "stamps: clocks", evidence, ONE_CLOCK)
     return replace(log, field_time=log.field_time - off), (line,)
 
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.alignment import FIELD, IRON, SOFT
 from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, mount_of, parameter_line
-from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, rate_factors
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, likely_rate_factor
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.field_by_movement import with_field
 from magcal_ros.core.doctor.health import (
@@ -28,14 +27,14 @@ from magcal_ros.core.doctor.health import (
     dead_axes,
     field_findings,
     noise_findings,
+    ok_or_severe,
     ok_or_warning,
-    severe_finding,
     stuck_axes,
     undetermined,
     up_axis,
 )
 from magcal_ros.core.doctor.motion import MotionResult, compare, findings_by_turn
-from magcal_ros.core.doctor.prepared import CleanLog, prepare, segment_of_log
+from magcal_ros.core.doctor.prepared import prepare, segment_of_log
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
@@ -92,38 +91,22 @@ def examine(
 
     `turned_left` is whether the user turned the robot to the left; None if unknown.
     """
-    return _report(log, _Compared.of(log, knowledge, turned_left), knowledge)
+    return _report(log, compare(prepare(log), knowledge, turned_left), knowledge)
 
 
-class _Compared(NamedTuple):
-    """A clean log, and the comparison of its sensors; None if it has too few samples."""
-
-    prepared: CleanLog
-    found: MotionResult | None
-
-    @classmethod
-    def of(cls, log: SensorLog, knowledge: Knowledge, turned_left: bool | None = None) -> _Compared:
-        """Clean a log and compare its sensors."""
-        prepared = prepare(log)
-        is_short = min(len(prepared.log.imu_time), len(prepared.log.field_time)) < 3
-        return cls(prepared, None if is_short else compare(prepared, knowledge, turned_left))
-
-
-def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> SensorReport:
+def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> SensorReport:
     """Return the findings on a log whose sensors have been compared."""
-    prepared, found = compared
-    if found is None:
+    prepared, hypothesis, axes = found.prepared, found.hypothesis, found.axes
+    if prepared.is_short:
         return SensorReport((*prepared.findings, *known_quirks(log)))
     lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
     turn = None
-    is_usable = not prepared.restamped and not any(
-        f.key == WRONG_UNIT and f.is_wrong for f in lines
-    )
-    if is_usable and found.hypothesis is not None and found.body is not None:
-        turn = fit_turn(found.body, found.hypothesis, knowledge, bool(found.up_is_down))
-    lines += findings_by_turn(prepared, found, turn)
-    lines = with_field(lines, prepared, found, knowledge, turn)
-    mount, wrong, axes = None, None, found.axes
+    is_usable = not prepared.restamped and not _wrong(lines, (WRONG_UNIT,))
+    if is_usable and hypothesis is not None and found.body is not None:
+        turn = fit_turn(found.body, hypothesis, knowledge, bool(found.up_is_down))
+    lines += findings_by_turn(found, turn)
+    lines = with_field(lines, found, knowledge, turn)
+    mount, wrong = None, None
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
         mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
@@ -131,22 +114,22 @@ def _report(log: SensorLog, compared: _Compared, knowledge: Knowledge) -> Sensor
     lines += orientation_findings(log, knowledge) if wrong is None else []
     compass = None
     is_right = axes is not None and found.factor == 1.0 and not found.up_is_down
-    if is_right and found.hypothesis is not None:
-        compass = compass_of(found.hypothesis, knowledge)
+    if is_right and hypothesis is not None:
+        compass = compass_of(hypothesis, knowledge)
     return SensorReport(tuple(lines), mount, axes, compass)
 
 
 # A refusal and a report need the same turn several times.
 @lru_cache(maxsize=1)
-def _compared_window(window: Window, knowledge: Knowledge) -> _Compared:
-    return _Compared.of(SensorLog.of_window(window), knowledge)
+def _compared_window(window: Window, knowledge: Knowledge) -> MotionResult:
+    return compare(prepare(SensorLog.of_window(window)), knowledge)
 
 
 @lru_cache(maxsize=1)
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> SensorReport:
     """Check the sensors by the samples of a turn, which are already paired and cleaned."""
-    log, compared = SensorLog.of_window(window), _compared_window(window, knowledge)
-    report = _report(log, compared, knowledge)
+    found = _compared_window(window, knowledge)
+    report = _report(SensorLog.of_window(window), found, knowledge)
     kept = [f for f in report.findings if f.key not in UNPAIRED_ONLY]
     return replace(report, findings=tuple(kept))
 
@@ -199,13 +182,13 @@ def course_findings(
     mount = mount_of(right, axes.pose)
     turned = f"the magnetometer's axes are {axes_in_words(right)}: set `{parameter_line(mount)}`"
     if knows_imu:
-        return [*lines, severe_finding("field_yaw", YAW_BY_COURSE, evidence, turned)], mount
+        return [*lines, ok_or_severe("field_yaw", YAW_BY_COURSE, evidence, turned)], mount
     either = (
         f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
         f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
         "speed too, and accelerate and brake"
     )
-    return [*lines, severe_finding("field_yaw", YAW_BY_COURSE, evidence, either)], None
+    return [*lines, ok_or_severe("field_yaw", YAW_BY_COURSE, evidence, either)], None
 
 
 def _imu_yaw(measured: Belief) -> Finding:
@@ -268,7 +251,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "leave the columns out) to be calibrated without a gyro",
         )
     segment = segment_of_log(SensorLog.of_window(window))
-    if segment is not None and rate_factors(segment):
+    if segment is not None and likely_rate_factor(segment) != 1.0:
         return _refusal_by_comparison(window, knowledge, ("rate_unit",))
     return None
 
@@ -299,14 +282,17 @@ def _refusal_by_comparison(
     least: Grade = Grade.WARN,
 ) -> Refusal | None:
     """Return a refusal by the comparison of the sensors, without the rest of the report."""
-    prepared, found = _compared_window(window, knowledge)
-    findings = prepared.findings + (() if found is None else found.findings)
-    return _refusal_by(findings, keys, least)
+    found = _compared_window(window, knowledge)
+    return _refusal_by(found.prepared.findings + found.findings, keys, least)
 
 
 def _refusal_by(
     findings: Iterable[Finding], keys: tuple[str, ...], least: Grade = Grade.WARN
 ) -> Refusal | None:
     """Return a refusal with the remedies of some findings; None if they have none."""
-    remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in keys]
+    remedies = [each.remedy for each in _wrong(findings, keys) if each.grade.rank >= least.rank]
     return Refusal(Reason.AXES_DISAGREE, "; ".join(remedies)) if any(remedies) else None
+
+
+def _wrong(findings: Iterable[Finding], keys: tuple[str, ...]) -> list[Finding]:
+    return [each for each in findings if each.is_wrong and each.key in keys]
