@@ -75,7 +75,7 @@ def fit(
     count = len(measurements)
     figures = {
         Figure.KNOWN_HEADINGS: float(count),
-        Figure.INSTALLATION_YAW_SIGMA: found.yaw_sigma,
+        Figure.INSTALLATION_YAW_SIGMA: math.sqrt(found.covariance[YAW, YAW]),
         Figure.SOFT_IRON: 1.0,
     }
     if count > 1:

@@ -204,7 +204,7 @@ def _gap(calibration: Calibration, new: KnownHeadingMeasurement) -> tuple[float,
     level = max(float(np.linalg.norm(np.cross(field, up))), 1e-9)
     jacobian = yaw_jacobian(calibration.correction, up, field)
     gradient_by_parameters = float(jacobian @ calibration.covariance @ jacobian)
-    place = DISTURBANCE_AT_REST.usual * math.exp(DISTURBANCE_AT_REST.spread**2) / MICROTESLA / level
+    place = DISTURBANCE_AT_REST.rms / MICROTESLA / level
     return wrapped(yaw - new.heading), math.sqrt(gradient_by_parameters + place**2 + new.sigma**2)
 
 

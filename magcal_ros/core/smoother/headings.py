@@ -16,12 +16,10 @@ from magcal_ros.core.smoother.known_heading_model import (
     KnownHeadingMeasurement,
     KnownHeadingModel,
     KnownHeadingOptimum,
-    course_of,
-    rms_size,
 )
 from magcal_ros.core.smoother.posterior import Posterior, posterior_at
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SHARED, YAW, Size
+from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SHARED, Size
 
 SPREADS = np.linspace(-2.4, 2.4, 7)
 """Sizes of the local disturbance that are tried, as prior spreads of its logarithm."""
@@ -64,7 +62,6 @@ class HeadingFit:
     agreement: HeadingAgreement
     residual: FloatArray
     """Residuals of the field, tesla, sensor axes. Shape (n, 3)."""
-    yaw_sigma: float  # of the installation's yaw, radians
 
 
 def fit_headings(
@@ -91,20 +88,19 @@ def fit_headings(
     state = replace(found[int(np.argmax(weights))].state, shared=shared)
     posterior = posterior_at(state, covariance, knowledge.mounting.matrix)
     residual = model.field_of(state).residual @ knowledge.mounting.matrix.T / MICROTESLA
-    yaw_sigma = math.sqrt(covariance[YAW, YAW])
-    return HeadingFit(state, covariance, posterior, agreement, residual, yaw_sigma)
+    return HeadingFit(state, covariance, posterior, agreement, residual)
 
 
 def _optima(
     model: KnownHeadingModel, place: Size
 ) -> tuple[list[KnownHeadingOptimum], FloatArray, HeadingAgreement]:
     """Return the optima at sizes of the local disturbance and of a drift, costs, and agreement."""
-    middle = model.optimum(rms_size(place))
+    middle = model.optimum(place.rms)
     sizes = place.usual * np.exp(place.spread * SPREADS)
     found = [model.optimum(float(size), middle.state) for size in sizes]
     costs = np.array([each.cost for each in found]) + SPREADS**2
     usual, large = middle, found[LARGEST_PLAUSIBLE]
-    if model.drifts:
+    if model.columns["drifts"].any():
         best = int(np.argmin(costs))
         size, start = float(sizes[best]), found[best].state
         drifting = [model.optimum(size, start, drift) for drift in DRIFTS]
@@ -116,7 +112,7 @@ def _optima(
         k = int(np.argmin(costs)) - len(SPREADS)
         if k >= 0:
             drift, start = list(DRIFTS)[k], drifting[k].state
-            usual = model.optimum(rms_size(place), start, drift)
+            usual = model.optimum(place.rms, start, drift)
             large = model.optimum(float(sizes[LARGEST_PLAUSIBLE]), start, drift)
     return found, costs, _agreement(model, usual, large)
 
@@ -128,7 +124,7 @@ def agreement_of(
 ) -> HeadingAgreement:
     """Return the agreement of measurements; parameters and errors as for `fit_headings`."""
     model = KnownHeadingModel.of(measurements, knowledge)
-    middle = model.optimum(rms_size(place))
+    middle = model.optimum(place.rms)
     size = place.usual * math.exp(place.spread * SPREADS[LARGEST_PLAUSIBLE])
     return _agreement(model, middle, model.optimum(size, middle.state))
 
@@ -136,7 +132,8 @@ def agreement_of(
 def _agreement(
     model: KnownHeadingModel, usual: KnownHeadingOptimum, large: KnownHeadingOptimum
 ) -> HeadingAgreement:
-    freedom = 3 * len(model.heading) - 3 + int(np.isfinite(model.turned_sigma).sum())
+    turns = np.isfinite(model.columns["turned_sigma"][1:])
+    freedom = 3 * len(model.common) - 3 + int(turns.sum())
     return HeadingAgreement(usual.cost, usual.misfit, large.misfit, freedom)
 
 
@@ -153,10 +150,7 @@ def sigma_with(
     """
     last = replace(measurements[-1], heading=heading, turned_sigma=math.inf, distance=math.inf)
     more = KnownHeadingModel.of([*measurements, last], knowledge)
-    # The new field is the expected one, so that only the covariance changes.
+    # The covariance does not depend on the new field.
     state = replace(more.start, shared=fit.state.shared)
-    fields = more.course.nodes.field - more.field_of(state).residual
-    found = replace(more, course=course_of(fields), start=state).optimum(
-        rms_size(DISTURBANCE_AT_REST)
-    )
-    return posterior_at(found.state, found.covariance, knowledge.mounting.matrix).heading_sigma
+    found = more.optimum(DISTURBANCE_AT_REST.rms, state, rounds=0)
+    return posterior_at(state, found.covariance, knowledge.mounting.matrix).heading_sigma

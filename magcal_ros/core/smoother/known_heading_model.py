@@ -1,14 +1,15 @@
 """Measurements at known headings, as nodes of the smoother.
 
-Each measurement is a node. It has no link to the one before, or only the gyro's turn since then.
-The unknowns and their priors are those of the smoother; unknowns of motion stay zero.
+Each measurement is a node. It has no link to the one before, or only the gyro's
+turn since then. The unknowns and their priors are those of the smoother; unknowns of motion stay
+zero.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from dataclasses import field as member
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors, priors_of
-from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, solve
+from magcal_ros.core.smoother.solver import Prior, WeightedResiduals, solve
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -40,7 +41,6 @@ from magcal_ros.core.smoother.unknowns import (
     SIZES,
     STREET,
     YAW,
-    Size,
 )
 
 TOLERANCES = Tolerances(rounds=30, step=0.01)
@@ -112,12 +112,13 @@ class KnownHeadingMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class KnownHeadingOptimum:
-    """The optimum at one size of the local disturbance."""
+    """The optimum at one size of the local disturbance and one drift."""
 
     state: State
-    covariance: FloatArray
+    covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
     cost: float
-    misfit: float
+    """Minus twice the logarithm of the evidence, up to a constant of the measurements."""
+    misfit: float  # sum of squared normalised residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +126,10 @@ class KnownHeadingModel:
     """All measurements as nodes, with their priors."""
 
     course: Course
-    force: FloatArray
-    force_sigma: FloatArray
-    heading: FloatArray
-    sigma: FloatArray
-    forward: FloatArray
-    turned: FloatArray
-    turned_sigma: FloatArray
-    seconds: FloatArray
-    drifts: bool
+    columns: Mapping[str, FloatArray]  # the values of the measurements, by field. Shapes (n, ...).
     correlation: FloatArray
     """Correlation of the local disturbance with the previous measurement. Shape (n - 1,)."""
-    common: FloatArray
+    common: FloatArray  # sigma of the error common to all headings, radians. Shape (n,).
     priors: Priors
     start: State
 
@@ -145,68 +138,61 @@ class KnownHeadingModel:
         cls, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
     ) -> KnownHeadingModel:
         """Return measurements as nodes, with the priors from the knowledge."""
-
-        def column(name: str, first: int = 0) -> FloatArray:
-            return np.array([getattr(each, name) for each in measurements[first:]], dtype=float)
-
-        force, heading, forward = column("force"), column("heading"), column("forward")
-        course = course_of(column("field") @ knowledge.mounting.to_body.T * MICROTESLA)
-        seconds, by = column("seconds", 1), column("by_declination")
-        priors = _priors(knowledge, bool(seconds.any()))
-        state = _start(course.nodes, force, heading, forward, priors)
+        columns = {
+            each.name: np.array([getattr(one, each.name) for one in measurements], dtype=float)
+            for each in fields(KnownHeadingMeasurement)
+        }
+        course = course_of(columns["field"] @ knowledge.mounting.to_body.T * MICROTESLA)
+        priors = _priors(knowledge, bool(columns["seconds"][1:].any()))
+        state = _start(course.nodes, columns, priors)
         mean = priors.mean.copy()
         mean[AT["iron"]] = state.shared[AT["iron"]]
+        by_declination = columns["by_declination"] * knowledge.reference.declination_sigma
         return cls(
             course,
-            force,
-            column("force_sigma"),
-            heading,
-            column("sigma"),
-            forward,
-            column("turned", 1),
-            column("turned_sigma", 1),
-            seconds,
-            any(each.drifts for each in measurements),
-            np.exp(-column("distance", 1) / priors.lengths.street),
-            np.hypot(by * knowledge.reference.declination_sigma, column("common_sigma")),
+            columns,
+            np.exp(-columns["distance"][1:] / priors.lengths.street),
+            np.hypot(by_declination, columns["common_sigma"]),
             replace(priors, mean=mean),
             state,
         )
 
     def field_of(self, state: State) -> factors.Residuals:
         """Return the residuals of the field at a state."""
-        return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
+        return factors.magnetic(self.course, state, Places.none(len(self.common), 1.0))
 
     def residuals(self, state: State, size: float, drift: Drift) -> dict[str, WeightedResiduals]:
         """Return all residuals with their variances.
 
         `size` is the size of the local disturbance, `drift` the drift of the headings.
         """
-        ones = np.ones(len(self.heading))
-
-        def known(linear: factors.Residuals, variance: FloatArray) -> WeightedResiduals:
-            return WeightedResiduals(linear, variance, GAUSSIAN)
-
+        of, ones = self.columns, np.ones(len(self.common))
+        heading = factors.known_heading(of["heading"], of["forward"], state)
+        force = factors.force_at_rest(of["force"], state)
         found = {
-            "field": known(self.field_of(state), rms_size(SIZES["field"]) ** 2 * ones),
-            "force": known(factors.force_at_rest(self.force, state), self.force_sigma**2),
-            "heading": known(
-                factors.known_heading(self.heading, self.forward, state), self.sigma**2
-            ),
+            "field": (self.field_of(state), SIZES["field"].rms ** 2 * ones),
+            "force": (force, of["force_sigma"] ** 2),
+            "heading": (heading, of["sigma"] ** 2),
         }
         if len(ones) > 1:
-            turn = factors.known_turn(self.turned, self.seconds, self.forward, state)
-            found["turn"] = known(turn, self.turned_sigma**2)
-            correlation = np.exp(-self.seconds / drift.time)
-            variance = drift.sigma**2 * (1.0 - correlation**2) + LEAST_VARIANCE
-            found["drift"] = known(
-                factors.heading_drift(state, correlation, self.seconds), variance
-            )
-            still = factors.process(state, HEADING_RATE, np.ones(len(correlation)))
-            found["drift rate"] = known(still, LEAST_VARIANCE * ones[1:])
-            variance = size**2 * (1.0 - self.correlation**2) + LEAST_VARIANCE
-            found["street"] = known(factors.process(state, STREET, self.correlation), variance)
-        return found
+            turned, seconds, sigma = (of[k][1:] for k in ("turned", "seconds", "turned_sigma"))
+            kept = np.exp(-seconds / drift.time)
+            found |= {
+                "turn": (factors.known_turn(turned, seconds, of["forward"], state), sigma**2),
+                "drift": (
+                    factors.heading_drift(state, kept, seconds),
+                    drift.sigma**2 * (1.0 - kept**2) + LEAST_VARIANCE,
+                ),
+                "drift rate": (
+                    factors.process(state, HEADING_RATE, ones[1:]),
+                    LEAST_VARIANCE * ones[1:],
+                ),
+                "street": (
+                    factors.process(state, STREET, self.correlation),
+                    size**2 * (1.0 - self.correlation**2) + LEAST_VARIANCE,
+                ),
+            }
+        return {name: WeightedResiduals(*each, GAUSSIAN) for name, each in found.items()}
 
     def prior(self, state: State, size: float, drift: Drift) -> Prior:
         """Return the priors; parameters as for `residuals`."""
@@ -215,7 +201,7 @@ class KnownHeadingModel:
         local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
         local[0, STREET] = size**-2.0
         local[1:, STREET] = LEAST_VARIANCE
-        local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
+        local[:, BODY_FIELD] = SIZES["body_field"].rms ** -2.0
         free = self.free
         information = np.zeros((SHARED, SHARED))
         information[free, free] = self.priors.scale[free] ** -2.0
@@ -229,65 +215,36 @@ class KnownHeadingModel:
         return np.flatnonzero(self.priors.scale > 0.0)
 
     def optimum(
-        self, size: float, start: State | None = None, drift: Drift = NO_DRIFT
+        self,
+        size: float,
+        start: State | None = None,
+        drift: Drift = NO_DRIFT,
+        rounds: int = TOLERANCES.rounds,
     ) -> KnownHeadingOptimum:
-        """Return the optimum; parameters as for `residuals`."""
+        """Return the optimum after some steps at most; parameters as for `residuals`."""
         state, free = start or self.start, self.free
-        for _ in range(TOLERANCES.rounds):
+        for left in range(rounds, -1, -1):
             weighted, prior = self.residuals(state, size, drift), self.prior(state, size, drift)
             solution = solve(list(weighted.values()), prior, free)
-            if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < TOLERANCES.step:
+            sigma = np.sqrt(np.diag(solution.covariance))
+            if not left or float(np.max(np.abs(solution.shared) / sigma)) < TOLERANCES.step:
                 break
             shared = np.zeros(SHARED)
             shared[free] = solution.shared
             state = state.moved(solution.local, shared)
-        covariance = solution.covariance + self._by_common_errors(weighted, prior, solution)
+        # An error common to all headings, of declination or of the antennas' mounting.
+        heading = weighted["heading"].linear
+        linear = replace(heading, residual=heading.residual + self.common[:, None])
+        shifted = {**weighted, "heading": replace(weighted["heading"], linear=linear)}
+        by_common = solve(list(shifted.values()), prior, free).shared - solution.shared
         whole = np.zeros((SHARED, SHARED))
-        whole[np.ix_(free, free)] = covariance
-        misfit = self._misfit(weighted, prior)
-        cost = misfit + solution.log_determinant + _log_steps(self.correlation, size, 3)
-        cost += _log_steps(np.exp(-self.seconds / drift.time), drift.sigma, 1)
-        cost += 2.0 * math.log(drift.rate)
+        whole[np.ix_(free, free)] = solution.covariance + np.outer(by_common, by_common)
+        misfit = sum(float(part.chi2.sum()) for part in weighted.values())
+        misfit += float(np.sum(prior.local_information * prior.local_offset**2))
+        misfit += float(prior.offset @ prior.information @ prior.offset)
+        cost = misfit + solution.log_determinant - float(np.log(prior.local_information).sum())
+        cost += sum(float(np.sum(part.costs - part.misfits)) for part in weighted.values())
         return KnownHeadingOptimum(state, whole, cost, misfit)
-
-    def _misfit(self, weighted: dict[str, WeightedResiduals], prior: Prior) -> float:
-        """Return the sum of squared normalised residuals; the hard iron adds almost nothing."""
-        square = sum(float(part.chi2.sum()) for part in weighted.values())
-        square += float(np.sum(prior.local_information * prior.local_offset**2))
-        return square + float(prior.offset @ prior.information @ prior.offset)
-
-    def _by_common_errors(
-        self, weighted: dict[str, WeightedResiduals], prior: Prior, solution: Solution
-    ) -> FloatArray:
-        """Return the covariance by errors common to all headings: declination, antenna mounting."""
-        if not self.common.any():
-            return np.zeros_like(solution.covariance)
-        still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
-        still["heading"] = _with_residual(weighted["heading"], self.common[:, None])
-        offset, local = np.zeros_like(prior.offset), np.zeros_like(prior.local_offset)
-        at_rest = replace(prior, offset=offset, local_offset=local)
-        step = solve(list(still.values()), at_rest, self.free).shared
-        return np.outer(step, step)
-
-
-def _log_steps(correlation: FloatArray, size: float, width: int) -> float:
-    """Return the log determinant of the covariance of a process (`residuals`): start and steps."""
-    steps = np.log(size**2 * (1.0 - correlation**2) + LEAST_VARIANCE).sum()
-    return width * (2.0 * math.log(size) + float(steps))
-
-
-def _with_residual(part: WeightedResiduals, residual: FloatArray | float) -> WeightedResiduals:
-    changed = np.zeros_like(part.linear.residual) + residual
-    return replace(part, linear=replace(part.linear, residual=changed))
-
-
-def _sigmas(solution: Solution) -> FloatArray:
-    return np.sqrt(np.diag(solution.covariance))
-
-
-def rms_size(size: Size) -> float:
-    """Return the root mean square of a size under its prior."""
-    return size.usual * math.exp(size.spread**2)
 
 
 def _priors(knowledge: Knowledge, by_gyro: bool) -> Priors:
@@ -313,18 +270,16 @@ def _mean_factor(name: str, priors: Priors) -> float:
     return math.sqrt(float(np.sum(odds * np.exp(2.0 * x)) / np.sum(odds)))
 
 
-def _start(
-    nodes: Nodes, force: FloatArray, heading: FloatArray, forward: FloatArray, priors: Priors
-) -> State:
+def _start(nodes: Nodes, columns: Mapping[str, FloatArray], priors: Priors) -> State:
     """Return the state that agrees with the headings and the accelerometer."""
-    up = unit(force)
-    ahead = unit(level_part(forward, up))
-    left = np.cross(up, ahead)
-    cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    up = unit(columns["force"])
+    ahead = unit(level_part(columns["forward"], up))
+    left, heading = np.cross(up, ahead), columns["heading"][:, None]
+    cosine, sine = np.cos(heading), np.sin(heading)
     east, north = cosine * ahead - sine * left, sine * ahead + cosine * left
     attitude = np.stack([east, north, up], axis=2)
     shared = priors.mean.copy()
-    state = State(attitude, np.zeros((len(heading), LOCAL)), shared)
+    state = State(attitude, np.zeros((len(nodes), LOCAL)), shared)
     shared[AT["iron"]] = np.mean(nodes.field - attitude @ state.earth, axis=0)
     return state
 

@@ -62,6 +62,11 @@ class Size(NamedTuple):
     start: float = math.nan  # initial value, if not the median
     most: float = math.inf  # largest value: no sensor or robot exceeds it
 
+    @property
+    def rms(self) -> float:
+        """The root mean square under the prior."""
+        return self.usual * math.exp(self.spread**2)
+
 
 UNKNOWNS: dict[str, Unknown] = {
     "iron": Unknown((100.0,) * 3, 0.0, 1.0, "µT", "hard iron about its start", "wider than any"),
