@@ -15,7 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
+from magcal_ros.core.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    accumulated,
+    integral,
+    interpolated,
+)
 from magcal_ros.core.samples.battery import Battery
 from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE, MOST_SPREADS, UNKNOWNS, USUALLY_LATE
 
@@ -75,10 +81,7 @@ def _moves(moments: FloatArray, time: FloatArray, motion: FloatArray) -> FloatAr
 def _squared_acceleration(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the squared angular acceleration, (rad/s²)², shape (m,)."""
     angle = integral(time, rate)
-    ahead, behind = (
-        np.column_stack([np.interp(time + by, time, each) for each in angle.T])
-        for by in (START_TIME, -START_TIME)
-    )
+    ahead, behind = (interpolated(time + by, time, angle) for by in (START_TIME, -START_TIME))
     return np.asarray(np.sum((ahead - 2.0 * angle + behind) ** 2, axis=1) / START_TIME**4)
 
 
@@ -100,7 +103,7 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
     best, found = math.inf, usual
     for delay in USUALLY_LATE * np.arange(5):
         moments = battery.time - delay
-        passed = np.diff([np.interp(moments, time, part) for part in parts.T]).T
+        passed = np.diff(interpolated(moments, time, parts), axis=0)
         moves = _moves(moments, time, parts[:, 1])
 
         def cost(logs: FloatArray, passed: FloatArray = passed, moves: FloatArray = moves) -> float:
@@ -185,24 +188,19 @@ class Currents:
         The errors of the nodes between two messages are correlated. Each variance is the sum of a
         node's covariances with all nodes, so that independent nodes have the same total variance.
         """
-        points = self.clock.at(self._moments).ravel()
-        order = np.argsort(points, kind="stable")
+        points = self.clock.at(self._moments)
         known = self.clock.at(self.battery.time - delay)
         known = np.concatenate([[known[0] - MARGIN], known, [known[-1] + MARGIN]])
-        at = points[order]
-        row = np.searchsorted(known, at, side="right").clip(1, len(known) - 1)
-        start, end = known[row - 1], known[row]
-        share = 1.0 / len(POINTS)
-        number = share * np.arange(len(at) + 1)
-        moved = np.concatenate([[0.0], share * np.cumsum(at)])
-        first, last = np.searchsorted(row, row), np.searchsorted(row, row, side="right")
-        here = np.arange(1, len(at) + 1)
-        earlier = moved[here] - moved[first] - start * (number[here] - number[first])
-        later = end * (number[last] - number[here]) - (moved[last] - moved[here])
-        both = ((end - at) * earlier + (at - start) * later) / (end - start)
-        found = np.empty_like(both)
-        found[order] = both
-        bridge = found.reshape(-1, len(POINTS)).mean(axis=1)
+        at = np.sort(points, axis=None)
+        total = accumulated(at)
+
+        def walked(variance: FloatArray) -> FloatArray:
+            """Return the covariance of a free walk with the sum of its values at all points."""
+            earlier = np.searchsorted(at, variance)
+            return np.asarray(total[earlier] + (len(at) - earlier) * variance) / len(POINTS)
+
+        # The mean between two messages is linear, and its error is independent of the messages.
+        bridge = (walked(points) - np.interp(points, known, walked(known))).mean(axis=1)
         between = float(np.median(np.diff(self.battery.time)))
         ripple = self.clock.message_variance(self._moments).mean(axis=1)
         # The ripple is correlated from one message to the next.

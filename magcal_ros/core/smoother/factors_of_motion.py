@@ -56,8 +56,9 @@ def force(course: Course, state: State) -> Residuals:
     # Half by the attitude of each end, so that a gyro error between them is no error of force.
     along, back = 0.5 * nodes.along, 0.5 * nodes.along @ np.swapaxes(nodes.turned, 1, 2)
     rate = nodes.link_rate - state.shared[AT["gyro_bias"]]
+    swing = np.diff(nodes.rate, axis=0) / nodes.seconds[:, None]
     moving = 0.5 * (course.moving[1:] + course.moving[:-1])
-    found = acceleration(course, state, rate, nodes.swing, moving)
+    found = acceleration(course, state, rate, swing, moving)
     predicted = np.einsum("nij,nj->ni", along, gravity[:-1]) + found.residual
     predicted += np.einsum("nij,nj->ni", back, gravity[1:])
     return Residuals(
@@ -68,16 +69,11 @@ def force(course: Course, state: State) -> Residuals:
     )
 
 
-def gyro_matrix(shared: FloatArray) -> FloatArray:
-    """Return the gyro's scale and misalignment, shape (3, 3)."""
-    return shared[AT["gyro_matrix"]].reshape(3, 3)
-
-
 def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
     """Return the gyro's rotation error by bias and matrix, radians, shape (n - 1, 3)."""
     bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
     bias[:, 2] += bias_waves(nodes) @ shared[AT["bias_walk"]]
-    return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
+    return np.asarray(bias + nodes.angle @ shared[AT["gyro_matrix"]].reshape(3, 3).T)
 
 
 def bias_waves(nodes: Nodes) -> FloatArray:

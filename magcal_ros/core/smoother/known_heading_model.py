@@ -301,7 +301,6 @@ def course_of(field_: FloatArray) -> Course:
         angle=zeros[:links],
         force=force[:links],
         along=eyes[:links],
-        swing=zeros[:links],
         samples=np.zeros(links),
         unseen=zeros[:links],
         noise=0.0,

@@ -17,7 +17,7 @@ from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 
-LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
+LINKS = ("seconds", "turned", "angle", "force", "along", "samples", "unseen")
 """Fields of `Nodes` that describe the links between nodes."""
 NO_GYRO_VARIANCE, NO_GYRO_SECONDS = 10.0, 1000.0
 """Variance of the rotation (radians²) and duration (seconds) of a link without gyro samples."""
@@ -57,7 +57,6 @@ class Nodes:
     along: FloatArray
     """Mean rotation from the body axes of the first node to those of the force's samples. Shape (n
     - 1, 3, 3)."""
-    swing: FloatArray  # change of the turn rate, rad/s². Shape (n - 1, 3).
     samples: FloatArray  # number of force samples in each mean. Shape (n - 1,).
     unseen: FloatArray
     """Variance of the angle due to a low sample rate, radians². Shape (n - 1, 3)."""
@@ -105,7 +104,6 @@ class Nodes:
             turned=rotation @ self.turned @ back,
             angle=self.angle @ back,
             along=rotation @ self.along @ back,
-            swing=self.swing @ back,
             tied_to=None if self.tied_to is None else rotation @ self.tied_to,
         )
 
@@ -159,7 +157,6 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
-    mean_rate, seconds = block_means(rate, first), np.diff(time[middle])
     increments = steps, velocity, unseen
     angle, force, missed, along = _between_middles(time, attitude, middle, *increments)
     if rested is None:
@@ -170,12 +167,11 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         time=time[middle],
         field=block_means(field, first),
         inside=block_means(from_middle, first),
-        rate=mean_rate,
+        rate=block_means(rate, first),
         count=(last - first).astype(float),
         quiet=quiet,
-        seconds=seconds,
+        seconds=np.diff(time[middle]),
         turned=attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
-        swing=np.diff(mean_rate, axis=0) / seconds[:, None],
         samples=np.add.reduceat(np.append(intervals, 0.0), middle)[:-1],
         angle=angle,
         force=force,
@@ -210,7 +206,7 @@ def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
         "seconds": NO_GYRO_SECONDS,
         "unseen": NO_GYRO_VARIANCE,
         **dict.fromkeys(("turned", "along"), np.eye(3)),
-        **dict.fromkeys(("angle", "swing", "samples"), 0.0),
+        **dict.fromkeys(("angle", "samples"), 0.0),
     }
     changes = {}
     for name, value in empty.items():
@@ -368,7 +364,6 @@ def _with_rest(nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: F
         "angle": -rotation_vectors(turned),
         "force": (force * [[1.0], [0.0]])[order],
         "along": eyes,
-        "swing": zeros,
         "samples": np.array([count[0], 0.0])[order],
         "unseen": zeros,
     }
