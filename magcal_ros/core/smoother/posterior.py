@@ -15,16 +15,9 @@ from magcal_ros.core.calibration.heading_sigma import (
 )
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
+from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.smoother.factors import (
-    ELEMENT_MATRICES,
-    LEVEL,
-    X,
-    Y,
-    Z,
     distortion,
-    installation,
-    soft_iron,
 )
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.state import State
@@ -35,15 +28,16 @@ from magcal_ros.core.smoother.unknowns import (
     EARTH,
     MICROTESLA,
     MOTORS,
-    ROLL_PITCH,
     SHARED,
-    SHIELDING,
-    TURNED,
-    YAW,
 )
 
 INPUTS = MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT
 """The inputs of the motors' unknowns (`MOTORS`); the current is the last, as it may be unknown."""
+OF_CORRECTION = (
+    *("iron", "installation", "axes", "turned", "soft_iron", "shielding", "force_offset"),
+)
+"""Groups of shared unknowns on which the twelve numbers depend."""
+STEP = 1e-5  # of derivatives by them: radians, ratios, µT and m/s²
 ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn counts as one way
 
 
@@ -102,7 +96,7 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
     shared = state.shared
     up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
-    jacobian = _by_shared(shared, correction, to_sensor, up)
+    jacobian = _by_shared(shared, to_sensor, up)
     known_by = 3 if known[AT["motors_current"], AT["motors_current"]].any() else 2
     by_motors = np.zeros((3 * known_by, SHARED))
     for k, name in enumerate(MOTORS[:known_by]):
@@ -175,24 +169,14 @@ def _to_shown(shared: FloatArray, up: FloatArray) -> FloatArray:
     return np.asarray(exp_rotations(np.cross(up, shown)[None])[0])
 
 
-def _by_shared(
-    shared: FloatArray, correction: Correction, to_sensor: FloatArray, up: FloatArray
-) -> FloatArray:
+def _by_shared(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> FloatArray:
     """Return the derivative of the twelve numbers by the shared unknowns, (12, SHARED)."""
-    out = np.zeros((12, SHARED))
-    out[9:, AT["iron"]] = to_sensor / MICROTESLA
-    turn, bend = installation(shared), soft_iron(shared)
-    changes = {AT["soft_iron"].start + k: each @ turn for k, each in enumerate(ELEMENT_MATRICES)}
-    changes[SHIELDING] = LEVEL @ turn
-    roll = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
-    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y}
-    axes |= dict.fromkeys((YAW, TURNED), turn @ Z)
-    for k, axis in axes.items():
-        changes[k] = -bend @ skew(axis) @ turn
-    back = np.linalg.inv(bend @ turn)
-    for k, change in changes.items():
-        out[:9, k] = -(correction.matrix @ to_sensor @ change @ back @ to_sensor.T).ravel()
-    for k, axis in enumerate(np.eye(3)):
-        turned = skew(np.cross(up, axis) / STANDARD_GRAVITY)
-        out[:9, AT["force_offset"].start + k] = (turned @ correction.matrix).ravel()
+    out = np.zeros((PARAMETERS, SHARED))
+    for name in OF_CORRECTION:
+        for k in range(AT[name].start, AT[name].stop):
+            step = STEP * (np.arange(SHARED) == k)
+            ahead, behind = (
+                correction_of(shared + by, to_sensor, up).parameters for by in (step, -step)
+            )
+            out[:, k] = (ahead - behind) / (2.0 * STEP)
     return out
