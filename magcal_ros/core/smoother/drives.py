@@ -25,10 +25,10 @@ from magcal_ros.core.smoother.kinds_of_motion import (
     is_possible,
 )
 from magcal_ros.core.smoother.nodes import Nodes, nodes_of
-from magcal_ros.core.smoother.posterior import Posterior, posterior
+from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.state import SECTORS, State
+from magcal_ros.core.smoother.state import SECTORS
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -205,11 +205,10 @@ def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> Driv
 
 def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
     """Return the posterior of the raw field's calibration, from a fit to the corrected field."""
-    moved = replace(found, point=replace(found.point, state=_with_iron(found.state, iron)))
     swapped = np.arange(SHARED)
     swapped[AT["iron"]], swapped[iron] = swapped[iron].copy(), swapped[AT["iron"]].copy()
-    moved = replace(moved, covariance=found.covariance[np.ix_(swapped, swapped)])
-    change = posterior(moved, np.eye(3))
+    state = replace(found.state, shared=found.state.shared[swapped])
+    change = posterior_at(state, found.covariance[np.ix_(swapped, swapped)], np.eye(3))
     # Derivatives of the twelve numbers by those of the change: A = A1 A0 and h = h0 + A0^-1 h1.
     by_change = np.eye(len(change.numbers))
     by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
@@ -218,12 +217,6 @@ def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
     numbers[:PARAMETERS] = change.correction.after(correction).parameters
     joint = by_change @ change.joint @ by_change.T
     return DriveFit(found, replace(change, numbers=numbers, joint=joint))
-
-
-def _with_iron(state: State, iron: slice) -> State:
-    shared = state.shared.copy()
-    shared[AT["iron"]] = state.shared[iron]
-    return replace(state, shared=shared)
 
 
 @dataclass(frozen=True, eq=False)

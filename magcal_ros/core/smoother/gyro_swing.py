@@ -41,27 +41,18 @@ def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatAr
     (n,) is in seconds.
     """
     back = np.swapaxes(relative, 1, 2)
-    away = back @ attitude
-    deviation = np.unwrap(turns_about_z(away @ away[len(away) // 2].T))
+    off = back @ attitude
+    deviation = np.unwrap(turns_about_z(off @ off[len(off) // 2].T))
     turned = np.unwrap(turns_about_z(back))
     noise = _sample_noise(deviation)
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
-    sectors = _sectors(deviation, turned, time, yaw, noise)
-    left = without_gyro_errors(sectors.deviation, sectors.time, sectors.turned)
+    values = np.stack([deviation, turned, time, np.sin(yaw), np.cos(yaw)])
+    (away, angle, moment, sine, cosine), count = _sector_means(values, noise)
+    left = without_gyro_errors(away, moment, angle)
     kept = np.abs(left) <= SWING.spike * np.median(np.abs(left)) + noise
-    lasting = np.mean(left[kept] ** 2) - np.mean(noise**2 / sectors.count[kept])
-    return GyroSwing(sectors.heading[kept], left[kept], math.sqrt(max(float(lasting), 0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Sectors:
-    """Means over sectors of the turn, and how many samples each has; each shape (s,)."""
-
-    deviation: FloatArray
-    turned: FloatArray
-    time: FloatArray
-    heading: FloatArray
-    count: FloatArray
+    lasting = np.mean(left[kept] ** 2) - np.mean(noise**2 / count[kept])
+    heading = np.arctan2(sine, cosine)
+    return GyroSwing(heading[kept], left[kept], math.sqrt(max(float(lasting), 0.0)))
 
 
 def _sample_noise(deviation: FloatArray) -> float:
@@ -70,21 +61,20 @@ def _sample_noise(deviation: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0) if len(bend) else 0.0
 
 
-def _sectors(
-    deviation: FloatArray, turned: FloatArray, time: FloatArray, yaw: FloatArray, noise: float
-) -> _Sectors:
+def _sector_means(values: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Return the means of values (m, n) over sectors of the turn, and the number of samples.
+
+    The first row is the deviation, whose outliers are left out, the second the turned angle.
+    Shapes (m, s) and (s,).
+    """
+    deviation, turned = values[:2]
     index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
     size = int(index.max()) + 1
     middle = np.array([np.median(deviation[index == sector]) for sector in range(size)])
     good = np.abs(deviation - middle[index]) <= 4.0 * noise + 1e-6
     good |= (np.bincount(index, good, size) == 0.0)[index]
-    count = np.bincount(index, good, size)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(index, good * values, size) / count)
-
-    heading = np.arctan2(mean(np.sin(yaw)), mean(np.cos(yaw)))
-    return _Sectors(mean(deviation), mean(turned), mean(time), heading, count.astype(float))
+    count = np.bincount(index, good, size).astype(float)
+    return np.array([np.bincount(index, good * each, size) for each in values]) / count, count
 
 
 def without_gyro_errors(
