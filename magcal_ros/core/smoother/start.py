@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.rotations import (
     rotation_about,
     rotation_from_rpy,
 )
-from magcal_ros.core.geometry.shapes import Circle, fit_circle_robustly, plane_normal
+from magcal_ros.core.geometry.shapes import fit_circle_robustly, plane_normal
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.smoother.factors import Z, motor_inputs
 from magcal_ros.core.smoother.nodes import Nodes
@@ -29,7 +29,10 @@ from magcal_ros.core.smoother.unknowns import (
     LOCAL,
     MICROTESLA,
     MOTORS,
+    RATE,
+    ROLL_PITCH,
     SHARED,
+    SHIELDING,
     USUALLY_LATE,
 )
 
@@ -180,33 +183,36 @@ THINNEST_CONE = 0.005
 DIP = math.radians(60.0)  # dip that is tried if neither the field's strength nor its dip is known
 
 
-@dataclass(frozen=True, eq=False)
-class StartGuess:
-    """One geometric solution for axis, circle and dip."""
+def starts_by_field(
+    nodes: Nodes, up: FloatArray, priors: Priors, reference: ReferenceField
+) -> list[tuple[Nodes, State, Priors]]:
+    """Return every geometric solution for axis, circle and dip, in no particular order.
 
-    attitude: FloatArray  # magnetic ENU to body axes. Shape (n, 3, 3).
-    axis: FloatArray  # of the turn, in body axes. Shape (3,).
-    iron: FloatArray  # hard iron, µT. Shape (3,).
-    roll: float
-    pitch: float  # of the installation, radians
-    strength: float
-    inclination: float  # µT, radians
-
-
-def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[StartGuess]:
-    """Return first guesses in no particular order.
-
-    The field (n, 3) is in nominal body axes, µT, and `up` (n, 3) are unit vectors in body axes.
+    The nodes are those of a turn without a gyro, and `up` (n, 3) are unit vectors in body axes.
+    Returned are the nodes in axes in which the robot turns about the axis of the solution, the
+    state, and the priors about it.
     """
-    circle = fit_circle_robustly(field)
-    dips = _Dips(reference)
-    found: list[StartGuess] = []
+    strength, inclination = (
+        math.nan if each.is_unknown else each.value * unit_
+        for each, unit_ in ((reference.strength, MICROTESLA), (reference.inclination, 1.0))
+    )
+    circle, found = fit_circle_robustly(nodes.field), []
     for axis in _axes(up):
         normal = circle.normal * math.copysign(1.0, float(circle.normal @ axis))
+        height = float(circle.centre @ normal)
         for tilt in roll_pitch_between(axis, normal, or_nearest=True):
-            found.extend(_with_dips(field, up, circle, normal, axis, tilt, dips))
-    level = _level_start(field, up, dips)
-    return [*found, level] if level is not None else found
+            turned = _turned(axis, (nodes.field - circle.centre) @ rotation_from_rpy(*tilt).T)
+            shown = unit(np.einsum("nji,nj->i", turned, up))
+            for angle in _elevations(shown, circle.radius, height, strength, inclination):
+                level = math.cos(angle)
+                if level > 0.02:
+                    size = circle.radius / max(level, 0.05) if math.isnan(strength) else strength
+                    above = size * np.array([level, 0.0, math.sin(angle)])
+                    iron = circle.centre - above[2] * normal
+                    found.append(_Solution(turned, shown, above, iron, tilt))
+    if math.isfinite(strength + inclination):
+        found.extend(_without_installation(nodes.field, up, strength, inclination))
+    return [each.start(nodes, priors, strength, inclination) for each in found]
 
 
 def _axes(up: FloatArray) -> list[FloatArray]:
@@ -218,100 +224,44 @@ def _axes(up: FloatArray) -> list[FloatArray]:
     return [mean, normal * math.copysign(1.0, float(normal @ mean))]
 
 
-class _Dips:
-    """Strength (µT) and dip as far as they are known before the fit."""
+def _turned(axis: FloatArray, field: FloatArray) -> FloatArray:
+    """Return rotations (n, 3, 3) to body axes from a frame that turns about an axis.
 
-    def __init__(self, reference: ReferenceField) -> None:
-        strength, inclination = reference.strength, reference.inclination
-        self.strength = None if strength.is_unknown else strength.value * MICROTESLA
-        self.inclination = None if inclination.is_unknown else inclination.value
-
-    def elevations(
-        self, up: FloatArray, circle: Circle, height: float
-    ) -> Iterator[tuple[float, float]]:
-        """Yield (angle of the field over the turn's plane, strength), radians and µT.
-
-        `up` is in the turn's frame with the field at angle zero, `height` the circle's centre
-        along the axis, hard iron included.
-        """
-        if self.inclination is not None:
-            reach, phase = math.hypot(up[0], up[2]), math.atan2(up[2], up[0])
-            ratio = -math.sin(self.inclination) / max(reach, 1e-9)
-            opening = math.acos(min(1.0, max(-1.0, ratio)))
-            angles = [phase + opening, phase - opening]
-        elif self.strength is not None:
-            opening = math.acos(min(1.0, circle.radius / self.strength))
-            angles = [-opening, opening]
-        else:
-            angles = [-DIP, math.atan2(height, circle.radius), DIP]
-        for angle in angles:
-            level = math.cos(angle)
-            if level > 0.02:
-                known = self.strength
-                yield angle, known if known is not None else circle.radius / max(level, 0.05)
-
-    def guess(
-        self,
-        turned: FloatArray,
-        up: FloatArray,
-        field: FloatArray,
-        tilt: tuple[float, float],
-        iron: FloatArray,
-    ) -> StartGuess:
-        """Return the guess whose world fits `up` and `field` in the turn's frame.
-
-        `turned` (n, 3, 3) leads from the turn's frame to body axes.
-        """
-        strength = float(np.linalg.norm(field))
-        sine = -float(up @ field) / max(strength, 1e-12)
-        seen = math.asin(min(1.0, max(-1.0, sine)))
-        east = unit(np.cross(field, up))
-        world = np.stack([east, np.cross(up, east), up])
-        return StartGuess(
-            turned @ world.T,
-            turned[0, :, 2],
-            iron,
-            *tilt,
-            self.strength if self.strength is not None else strength,
-            self.inclination if self.inclination is not None else seen,
-        )
-
-
-def _with_dips(
-    field: FloatArray,
-    up: FloatArray,
-    circle: Circle,
-    normal: FloatArray,
-    axis: FloatArray,
-    tilt: tuple[float, float],
-    dips: _Dips,
-) -> Iterator[StartGuess]:
-    """Yield a guess for each possible angle between the field and the turn's plane."""
-    body_axis = minimal_rotation(Z, axis)
-    installed = (field - circle.centre) @ rotation_from_rpy(*tilt).T @ body_axis
-    turned = body_axis @ _turned_to(installed)
-    shown = unit(np.einsum("nji,nj->i", turned, up) / len(up))
-    height = float(circle.centre @ normal)
-    for angle, strength in dips.elevations(shown, circle, height):
-        above = strength * np.array([math.cos(angle), 0.0, math.sin(angle)])
-        yield dips.guess(turned, shown, above, tilt, circle.centre - above[2] * normal)
-
-
-def _turned_to(field: FloatArray) -> FloatArray:
-    """Return rotations about z (n, 3, 3) that take x to the direction of vectors (n, 3)."""
-    return rotation_about(Z, np.arctan2(field[:, 1], field[:, 0]))
-
-
-def _level_start(field: FloatArray, up: FloatArray, dips: _Dips) -> StartGuess | None:
-    """Guess without installation error: `m.u = c + h.u` and `|m|^2 = 2 m.h + k`, linear in h.
-
-    It needs no circle, so that it also works if a turn wobbles too much for one.
+    Its z is the axis (3,), and the field (n, 3) is above its x.
     """
-    if dips.strength is None or dips.inclination is None:
-        return None
-    n = len(field)
-    vertical = -dips.strength * math.sin(dips.inclination)
-    size = 2.0 * dips.strength
+    to_body = minimal_rotation(Z, axis)
+    level = field @ to_body
+    return np.asarray(to_body @ rotation_about(Z, np.arctan2(level[:, 1], level[:, 0])))
+
+
+def _elevations(
+    up: FloatArray, radius: float, height: float, strength: float, inclination: float
+) -> tuple[float, ...]:
+    """Return possible angles of the field over the turn's plane, radians.
+
+    `up` is in the frame of the turn, `radius` and `height` (along the axis, hard iron included) are
+    those of the field's circle, µT. Strength and inclination are NaN if they are not known.
+    """
+    if math.isfinite(inclination):
+        reach, phase = math.hypot(up[0], up[2]), math.atan2(up[2], up[0])
+        ratio = -math.sin(inclination) / max(reach, 1e-9)
+        opening = math.acos(min(1.0, max(-1.0, ratio)))
+        return phase + opening, phase - opening
+    if math.isfinite(strength):
+        opening = math.acos(min(1.0, radius / strength))
+        return -opening, opening
+    return -DIP, math.atan2(height, radius), DIP
+
+
+def _without_installation(
+    field: FloatArray, up: FloatArray, strength: float, inclination: float
+) -> Iterator[_Solution]:
+    """Yield the solution without installation error, as far as it is determined.
+
+    `m.u = c + h.u` and `|m|^2 = 2 m.h + k` are linear in h. It needs no circle, so that it also
+    works if a turn wobbles too much for one.
+    """
+    n, size = len(field), 2.0 * strength
     rows = np.block(
         [
             [up, np.zeros((n, 1))],
@@ -319,13 +269,53 @@ def _level_start(field: FloatArray, up: FloatArray, dips: _Dips) -> StartGuess |
             [1e-3 * math.sqrt(n) * np.eye(3), np.zeros((3, 1))],
         ]
     )
-    along = np.sum(field * up, axis=1) - vertical
+    along = np.sum(field * up, axis=1) + strength * math.sin(inclination)
     right = np.concatenate([along, np.sum(field**2, axis=1) / size, np.zeros(3)])
-    centre = np.linalg.lstsq(rows, right, rcond=None)[0][:3]
-    body_axis = minimal_rotation(Z, unit(up.mean(axis=0)))
-    turned = body_axis @ _turned_to((field - centre) @ body_axis)
+    iron = np.linalg.lstsq(rows, right, rcond=None)[0][:3]
+    turned = _turned(unit(up.mean(axis=0)), field - iron)
     shown = unit(np.einsum("nji,nj->i", turned, up))
-    above = np.einsum("nji,nj->i", turned, field - centre) / n
-    if np.linalg.norm(np.cross(shown, above)) < 1e-6 * dips.strength:
-        return None
-    return dips.guess(turned, shown, above, (0.0, 0.0), centre)
+    above = np.einsum("nji,nj->i", turned, field - iron) / n
+    if np.linalg.norm(np.cross(shown, above)) >= 1e-6 * strength:
+        yield _Solution(turned, shown, above, iron, (0.0, 0.0))
+
+
+class _Solution(NamedTuple):
+    """A geometric solution for axis, circle and dip."""
+
+    turned: FloatArray  # from the frame of the turn, z along its axis, to body axes. (n, 3, 3).
+    up: FloatArray  # in that frame. Shape (3,).
+    field: FloatArray  # of the Earth there, µT. Shape (3,).
+    iron: FloatArray  # hard iron, µT. Shape (3,).
+    installation: tuple[float, float]  # roll and pitch, radians
+
+    def start(
+        self, nodes: Nodes, priors: Priors, strength: float, inclination: float
+    ) -> tuple[Nodes, State, Priors]:
+        """Return the start; strength and inclination are NaN if they are not known."""
+        assert nodes.tied_to is not None
+        east = unit(np.cross(self.field, self.up))
+        attitude = self.turned @ np.stack([east, np.cross(self.up, east), self.up]).T
+        seen = float(np.linalg.norm(self.field))
+        sine = -float(self.up @ self.field) / max(seen, 1e-12)
+        size = seen if math.isnan(strength) else strength
+        dip = math.asin(min(1.0, max(-1.0, sine))) if math.isnan(inclination) else inclination
+        shared, local = priors.mean.copy(), np.zeros((len(nodes), LOCAL))
+        shared[AT["iron"]], shared[ROLL_PITCH] = self.iron, self.installation
+        shared[EARTH] = size * np.array([math.cos(dip), math.sin(dip)])
+        local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
+        state = State(attitude, local, shared)
+        if priors.scale[SHIELDING] > 0.0:
+            shared[SHIELDING] = _gain(nodes.field, attitude @ state.earth) - 1.0
+        # The installation tilts the axis that the field shows.
+        turning = nodes.in_axes(minimal_rotation(nodes.tied_to[:, 2], self.turned[0, :, 2]))
+        axes = level_axes(np.median(attitude[:, :, 2], axis=0))
+        return turning, state, priors.about(self.iron, axes)
+
+
+def _gain(field: FloatArray, expected: FloatArray) -> float:
+    """Return the ratio of the varying parts of a field (n, 3) and of the expected one.
+
+    A steel body may weaken the field to a fifth.
+    """
+    turns, seen = expected - expected.mean(axis=0), field - field.mean(axis=0)
+    return max(float(np.sum(turns * seen) / np.sum(turns**2)), 0.2)

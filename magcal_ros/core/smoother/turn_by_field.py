@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.geometry.shapes import fit_circle_robustly
-from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import Z
@@ -29,19 +29,16 @@ from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixt
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
-from magcal_ros.core.smoother.start import StartGuess, starts
-from magcal_ros.core.smoother.state import Course, State, level_axes
+from magcal_ros.core.smoother.start import starts_by_field
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
     KINDS,
-    LOCAL,
     MICROTESLA,
     ON_THE_SPOT,
     PASSED,
-    RATE,
     ROLL_PITCH,
-    SHIELDING,
     SMALL_CIRCLE,
 )
 
@@ -175,9 +172,10 @@ def _fitted(
 
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
     """Return the distinct starts of the highest evidence after a few rounds, in order."""
+    up = unit(_smooth(nodes.time, nodes.mean_force, SMOOTHED))
     led = [
         _fitted(turning, about, state, RANKING)
-        for turning, state, about in guesses(nodes, priors, knowledge.reference)
+        for turning, state, about in starts_by_field(nodes, up, priors, knowledge.reference)
     ]
     return _distinct([each for each in led if each is not None], STARTS_WITHIN)[:ROOTS]
 
@@ -193,50 +191,8 @@ def rival_gap(found: Smoothed) -> float:
     return one.distance_to(other)
 
 
-def guesses(
-    nodes: Nodes, priors: Priors, reference: ReferenceField
-) -> list[tuple[Nodes, State, Priors]]:
-    """Return the starts: every geometric solution for axis, circle and dip."""
-    up = unit(_smooth(nodes.time, nodes.mean_force, SMOOTHED))
-    found = []
-    assert nodes.tied_to is not None
-    for guess in starts(nodes.field, up, reference):
-        # The installation tilts the axis that the field shows.
-        turning = nodes.in_axes(minimal_rotation(nodes.tied_to[:, 2], guess.axis))
-        found.append((turning, *_as_state(guess, turning, priors)))
-    return found
-
-
 def state_distance(one: State, other: State) -> float:
     """Return the larger difference: of installation (radians), or of hard iron over the field."""
     off = np.abs(one.shared - other.shared)
     field = float(np.linalg.norm(one.shared[EARTH]))
     return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
-
-
-def _as_state(guess: StartGuess, nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
-    shared = priors.mean.copy()
-    shared[AT["iron"]] = guess.iron
-    shared[ROLL_PITCH] = guess.roll, guess.pitch
-    level, down = guess.strength * np.array(
-        [math.cos(guess.inclination), math.sin(guess.inclination)]
-    )
-    shared[EARTH] = level, down
-    if priors.scale[SHIELDING] > 0.0:
-        shared[SHIELDING] = _gain(nodes.field, guess.attitude, shared[EARTH]) - 1.0
-    local = np.zeros((len(nodes), LOCAL))
-    assert nodes.tied_to is not None
-    local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
-    about = priors.about(guess.iron, level_axes(np.median(guess.attitude[:, :, 2], axis=0)))
-    return State(guess.attitude, local, shared), about
-
-
-def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
-    """Return the ratio of the varying part of a field (n, 3) to that expected by the attitudes.
-
-    `earth` is the level and the downward field. A steel body may weaken the field to a fifth.
-    """
-    level, down = earth
-    expected = attitude @ np.array([0.0, level, -down])
-    turns, seen = expected - expected.mean(axis=0), field - field.mean(axis=0)
-    return max(float(np.sum(turns * seen) / np.sum(turns**2)), 0.2)
