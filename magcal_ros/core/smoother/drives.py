@@ -169,8 +169,7 @@ def held_priors(
     }
     if may_change:
         scales |= {"installation": KEPT_TILT, "soft_iron": KEPT_SOFT_IRON}
-    spread = {**priors.spread, "installation": 0.0, "soft_iron": 0.0}
-    return replace(priors.with_scales(scales), spread=spread)
+    return priors.with_scales(scales, fixed=["installation", "soft_iron"])
 
 
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:

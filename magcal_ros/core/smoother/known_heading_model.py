@@ -306,4 +306,4 @@ def course_of(field_: FloatArray) -> Course:
         noise=0.0,
         mean_force=force,
     )
-    return Course(nodes, np.eye(3), np.zeros(n), ~still, still, np.zeros(n), np.zeros(n))
+    return Course(nodes, np.eye(3), still)

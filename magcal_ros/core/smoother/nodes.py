@@ -243,52 +243,25 @@ def _currents(window: Window, first: IntArray, quiet: BoolArray) -> Currents | N
 
 
 def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:
-    """Return in which nodes the robot may rest, shape (n,)."""
-    assert window.angular_rate is not None
-    count = np.diff(first, append=len(window)).astype(float)
-    sensors = field, window.specific_force, window.angular_rate
-    spreads = (_spread(each, first, count) for each in sensors)
-    return rests(block_means(field, first), count, *spreads)
-
-
-def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
-    """Return the largest standard deviation of the three axes within each node."""
-    mean = block_means(values, first)
-    square = block_means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first)
-    return np.asarray(np.sqrt(square).max(axis=1))
-
-
-def rests(
-    mean_field: FloatArray,
-    count: FloatArray,
-    field: FloatArray,
-    shaking: FloatArray,
-    rocking: FloatArray,
-) -> BoolArray:
     """Return in which nodes the robot may be at rest, by field, force and rate, shape (n,).
 
-    Each node has a mean field (n, 3) in µT, a number of samples (n,), and standard deviations (n,)
-    of field (µT), force (m/s²) and rate (rad/s).
+    The field (n, 3) is in µT. At rest force and rate vary little more than in the quietest tenth of
+    the nodes (ten at most), and the field is the same as that of a neighbour, within the noise.
     """
-    quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
-    return quiet & _field_stays(mean_field, field, count)
-
-
-def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
-    """Return which nodes (n,) vary little more than the quietest tenth (ten nodes at most)."""
-    return np.asarray(spread < 1.6 * _most_quiet(spread) + least)
-
-
-def _most_quiet(spread: FloatArray) -> float:
-    return float(np.quantile(spread, min(0.1, 10.0 / len(spread))))
-
-
-def _field_stays(mean: FloatArray, spread: FloatArray, count: FloatArray) -> BoolArray:
-    """Return which nodes (n,) have the same field as a neighbour, within the noise at rest."""
-    noise = _most_quiet(spread) / np.sqrt(count)
+    assert window.angular_rate is not None
+    spreads = [_spread(e, first) for e in (field, window.specific_force, window.angular_rate)]
+    least = [float(np.quantile(each, min(0.1, 10.0 / len(first)))) for each in spreads]
+    quiet = (spreads[1] < 1.6 * least[1] + 0.01) & (spreads[2] < 1.6 * least[2] + 0.002)
+    noise = least[0] / np.sqrt(np.diff(first, append=len(window)))
     limit = STILL_FIELD + 3.0 * np.hypot(noise[1:], noise[:-1])
-    stays = np.abs(np.diff(mean, axis=0)).max(axis=1) < limit
-    return np.asarray(np.append(stays, False) | np.insert(stays, 0, False))
+    stays = np.abs(np.diff(block_means(field, first), axis=0)).max(axis=1) < limit
+    return np.asarray(quiet & (np.append(stays, False) | np.insert(stays, 0, False)))
+
+
+def _spread(values: FloatArray, first: IntArray) -> FloatArray:
+    """Return the largest standard deviation of the three axes within each node."""
+    mean = np.repeat(block_means(values, first), np.diff(first, append=len(values)), axis=0)
+    return np.asarray(np.sqrt(block_means((values - mean) ** 2, first)).max(axis=1))
 
 
 def _between_middles(

@@ -40,6 +40,19 @@ RATIOS = np.linspace(-8.0, 8.0, 81)
 """Tried logarithms of the ratio of distortions by soft iron and by non-orthogonal axes."""
 
 
+FREE_IF_SEEN = (
+    *("sway_arm", "axis", "upright", "turned", "place", "added", "entered", "came"),
+    *("motors_current", "current_late"),
+)
+"""Groups that with a gyro are not needed, or are observable only in several turns, with a change,
+or with a battery."""
+OF_INEXACT_SENSORS = (
+    *("bias_walk", "gyro_matrix", "lever_arm", "latency", "motors_moving", "motors_rate", "drift"),
+    *("force_moving", "force_offset", "axes", "shielding", "gradient"),
+)
+"""Groups that are zero with exact sensors."""
+
+
 @dataclass(frozen=True, eq=False)
 class Priors:
     """Means and sigmas of the unknowns' priors."""
@@ -80,12 +93,16 @@ class Priors:
         field = self.sizes["field"]._replace(freedom=FREEDOM_IF_PASSED)
         return replace(self, sizes={**self.sizes, "field": field})
 
-    def with_scales(self, scales: Mapping[str, FloatArray | Sequence[float] | float]) -> Priors:
-        """Return the priors with other sigmas of some groups."""
+    def with_scales(
+        self,
+        scales: Mapping[str, FloatArray | Sequence[float] | float],
+        fixed: Sequence[str] = (),
+    ) -> Priors:
+        """Return the priors with other sigmas of some groups; `fixed` are certain sigmas."""
         scale = self.scale.copy()
         for name, sigma in scales.items():
             scale[AT[name]] = sigma
-        return replace(self, scale=scale)
+        return replace(self, scale=scale, spread={**self.spread, **dict.fromkeys(fixed, 0.0)})
 
     @property
     def in_a_gradient(self) -> Priors:
@@ -97,9 +114,9 @@ class Priors:
         """The priors of a robot that may drive a small circle, with a distant pivot."""
         along, across, up = self.scale[AT["lever_arm"]]
         more = CIRCLE / UNKNOWNS["lever_arm"].sigma[0]
-        spread = {**self.spread, "lever_arm": 0.0}
-        found = self.with_scales({"lever_arm": [more * along, more * across, up]})
-        return replace(found, spread=spread)
+        return self.with_scales(
+            {"lever_arm": [more * along, more * across, up]}, fixed=["lever_arm"]
+        )
 
     def with_dead_axes(self, living: tuple[bool, bool, bool]) -> Priors:
         """Return the priors of a window in which axes of the gyro are silent.
@@ -126,9 +143,9 @@ class Priors:
             held.append("shielding")
         free = {name: UNKNOWNS[name].sigma for name in ("axis", "upright", "sway_arm")}
         # Without a rest, the size of the accelerometer's shift in motion is not observable.
-        spread = self.spread if rests else {**self.spread, "force_moving": 0.0}
-        found = self.with_scales({**dict.fromkeys(held, 0.0), **free})
-        return replace(found, spread=spread, sizes={**self.sizes, **SWAY})
+        fixed = [] if rests else ["force_moving"]
+        found = self.with_scales({**dict.fromkeys(held, 0.0), **free}, fixed)
+        return replace(found, sizes={**self.sizes, **SWAY})
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
         """Return mean and variance of the log of a group's factor, from the known factors."""
@@ -205,52 +222,27 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
 
     `bias_sigma` is the sigma of the gyro's bias from a rest, rad/s per axis; infinite without one.
     """
-    mean = np.zeros(SHARED)
-    scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])
-    spread = {name: each.spread for name, each in UNKNOWNS.items()}
-    if math.isfinite(bias_sigma):
-        scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
-        spread["gyro_bias"] = 0.0
-    # With a gyro these are not needed, or are observable only in several turns or with a change.
-    for name in (
-        "sway_arm",
-        "axis",
-        "upright",
-        "turned",
-        "place",
-        "added",
-        "entered",
-        "came",
-        # These are free only with a battery (`Model.of`).
-        "motors_current",
-        "current_late",
-    ):
-        scale[AT[name]] = 0.0
     fields = EarthFieldPrior.of(knowledge.reference)
-    mean[EARTH] = fields.gaussian.mean
-    mean[CURRENT_LATE] = USUALLY_LATE
-    most = {name: each.most for name, each in UNKNOWNS.items()}
-    sizes = dict(SIZES)
+    mean = np.zeros(SHARED)
+    mean[EARTH], mean[CURRENT_LATE] = fields.gaussian.mean, USUALLY_LATE
+    scale = np.concatenate([each.sigma for each in UNKNOWNS.values()])
+    found = Priors(mean, scale, fields, knowledge.mounting.forward)
+    held = set(FREE_IF_SEEN)
+    if math.isfinite(bias_sigma):
+        found = found.with_scales({"gyro_bias": max(bias_sigma, 1e-6)}, fixed=["gyro_bias"])
     if knowledge.exact_sensors:
-        for name in (
-            "bias_walk",
-            "gyro_matrix",
-            "lever_arm",
-            "latency",
-            "motors_moving",
-            "motors_rate",
-            "drift",
-            "force_moving",
-            "force_offset",
-            "axes",
-            "shielding",
-            "gradient",
-        ):
-            scale[AT[name]] = 0.0
-        scale[AT["soft_iron"]], spread["soft_iron"], most["soft_iron"] = EXACT_IRON
-        for name in ("street", "body_field", "motors_noise"):
-            sizes[name] = sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
+        sigma, spread, most = EXACT_IRON
+        nothing = {
+            name: found.sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
+            for name in ("street", "body_field", "motors_noise")
+        }
+        found = replace(
+            found.with_scales({"soft_iron": sigma}),
+            spread={**found.spread, "soft_iron": spread},
+            most={**found.most, "soft_iron": most},
+            sizes={**found.sizes, **nothing},
+        )
+        held |= set(OF_INEXACT_SENSORS)
     if knowledge.soft_iron.sigma_diagonal == 0.0:
-        for name in ("axes", "soft_iron", "shielding"):
-            scale[AT[name]] = 0.0
-    return Priors(mean, scale, fields, knowledge.mounting.forward, spread, most, sizes)
+        held |= {"axes", "soft_iron", "shielding"}
+    return found.with_scales(dict.fromkeys(held, 0.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -98,15 +99,7 @@ class Course:
     nodes: Nodes
     axes: FloatArray
     """The body's level axes: ahead, left and up in body axes, as columns. Shape (3, 3)."""
-    moving: FloatArray
-    """Expected fraction of the node in which the robot moves: one, zero at rest, and a half at a
-    start or stop. Shape (n,)."""
-    edge: BoolArray  # whether the robot starts or stops in the node. Shape (n,).
     still: BoolArray  # whether the robot rests in the node. Shape (n,).
-    added: FloatArray
-    """Expected fraction of the node in which added iron is present: zero, one, or a half. Shape
-    (n,)."""
-    span: FloatArray  # time over the window's length, its middle at zero. Shape (n,).
 
     @classmethod
     def of(cls, nodes: Nodes, axes: FloatArray, bias: FloatArray, lengths: Lengths) -> Course:
@@ -114,10 +107,33 @@ class Course:
         speed = np.linalg.norm(nodes.rate - bias, axis=1)
         slow = speed < lengths.moving + 0.1 * np.quantile(speed, 0.9)
         quiet = nodes.quiet & slow
-        lonely = ~(np.append(quiet[1:], False) | np.insert(quiet[:-1], 0, False))
-        still = quiet & ~lonely
-        span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
-        edge = ~still & (np.append(still[1:], False) | np.insert(still[:-1], 0, False))
-        moving = np.where(edge, 0.5, (~still).astype(float))
-        added = np.heaviside(nodes.time - nodes.added_from, 0.5)
-        return cls(nodes, axes, moving, edge, still, added, span)
+        return cls(nodes, axes, quiet & _beside(quiet))
+
+    @cached_property
+    def edge(self) -> BoolArray:
+        """Whether the robot starts or stops in the node, shape (n,)."""
+        return ~self.still & _beside(self.still)
+
+    @cached_property
+    def moving(self) -> FloatArray:
+        """Expected fraction of the node in which the robot moves, shape (n,).
+
+        One, zero at rest, and a half at a start or stop.
+        """
+        return np.where(self.edge, 0.5, (~self.still).astype(float))
+
+    @cached_property
+    def added(self) -> FloatArray:
+        """Expected fraction of the node with added iron: zero, one, or a half. Shape (n,)."""
+        return np.heaviside(self.nodes.time - self.nodes.added_from, 0.5)
+
+    @cached_property
+    def span(self) -> FloatArray:
+        """Time over the window's length, its middle at zero, shape (n,)."""
+        time = self.nodes.time
+        return np.asarray((time - time.mean()) / max(np.ptp(time), 1e-9))
+
+
+def _beside(flags: BoolArray) -> BoolArray:
+    """Return which elements (n,) have a neighbour with a flag."""
+    return np.append(flags[1:], False) | np.insert(flags[:-1], 0, False)
