@@ -76,9 +76,9 @@ def examine_drive(job: DriveJob) -> DriveResult:
         return DriveResult(clock, found, refusal=refusal)
     old, ratios = job.in_force, {}
     for kind, fit in job.contests.items():
-        ratios[kind] = ratio_on(nodes.between(fit.end), old, fit.calibration, job.knowledge)
+        ratios[kind] = ratio_on(nodes.after(fit.end), old, fit.calibration, job.knowledge)
     if since_change is not None:
-        road = nodes.between(since_change.start)
+        road = nodes.after(since_change.start)
         ratio = ratio_on(road, old, since_change.calibration, job.knowledge)
         since_change = replace(since_change, ratio=ratio)
     return DriveResult(clock, found, since_change, ratios, refusal)
@@ -89,7 +89,7 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
     if job.in_force is None:
         return None
     first = max(clock - SELF_CALIBRATION.look_back, job.changed)
-    change = find_change(nodes.between(first), job.in_force, job.knowledge)
+    change = find_change(nodes.after(first), job.in_force, job.knowledge)
     if change is None or change.gain < SELF_CALIBRATION.notice:
         return None
     return candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
@@ -100,12 +100,12 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
     if job.in_force is None or math.isinf(job.changed):
         return None
     start = max(job.changed, clock - SELF_CALIBRATION.look_back)
-    fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
+    fitted = drives.fit_iron(nodes.after(start), job.in_force.correction, job.knowledge)
     return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
 
 
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate:
-    fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
+    fitted = drives.fit_drive(job.log, nodes.after(start), job.knowledge)
     return candidate_of(fitted, CandidateKind.ALL, job, start, end)
 
 
@@ -113,7 +113,7 @@ def _with_ratio(nodes: Nodes, fit: DriveCandidate, job: DriveJob) -> DriveCandid
     """Return a fit, with its likelihood ratio if it contradicts the watched calibration."""
     if job.watched is None or not contradicts(fit, job.watched):
         return fit
-    road = nodes.between(fit.start)
+    road = nodes.after(fit.start)
     return replace(fit, ratio=ratio_on(road, job.watched, fit.calibration, job.knowledge))
 
 

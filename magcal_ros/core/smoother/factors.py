@@ -163,8 +163,11 @@ def magnetic(course: Course, state: State, places: Places) -> Residuals:
     late = exp_rotations(angle)
     attitude = late @ state.attitude
     ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
-    comes = course.added == 0.5
-    added = (course.added + comes * shared[AT["came"]])[:, None]
+    # Of a node in which iron is added, half is expected to be after that.
+    present = np.heaviside(nodes.time - nodes.added_from, 0.5)
+    comes = present == 0.5
+    added = (present + comes * shared[AT["came"]])[:, None]
+    span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
     disturbance = places.disturbance(state) + ahead @ gradient.T
     disturbance += shared[AT["place"]] + added * shared[AT["entered"]]
     earth, street = attitude @ state.earth, np.einsum("nij,nj->ni", attitude, disturbance)
@@ -173,7 +176,7 @@ def magnetic(course: Course, state: State, places: Places) -> Residuals:
     by_place = by_street @ attitude
     turned, turned_street = (np.einsum("nij,nj->ni", by_street, each) for each in (earth, street))
     of_the_body = {"iron": np.ones((count, 1)), **motor_inputs(course, shared)}
-    of_the_body |= {"drift": course.span[:, None], "added": added}
+    of_the_body |= {"drift": span[:, None], "added": added}
     predicted = turned @ bend.T + turned_street + state.local[:, BODY_FIELD]
     predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
     swung = np.swapaxes(state.attitude, 1, 2)[:, :2] @ skew(X)

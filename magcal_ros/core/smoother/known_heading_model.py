@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
+from magcal_ros.core.geometry.attitude import level_part, unit
 from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.fit import Tolerances
 from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
-from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.nodes import Nodes, at_rest
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.solver import Prior, WeightedResiduals, solve
@@ -142,14 +142,15 @@ class KnownHeadingModel:
             each.name: np.array([getattr(one, each.name) for one in measurements], dtype=float)
             for each in fields(KnownHeadingMeasurement)
         }
-        course = course_of(columns["field"] @ knowledge.mounting.to_body.T * MICROTESLA)
+        field = columns["field"] @ knowledge.mounting.to_body.T * MICROTESLA
+        nodes = at_rest(np.arange(len(field), dtype=float), field, columns["force"])
         priors = _priors(knowledge, bool(columns["seconds"][1:].any()))
-        state = _start(course.nodes, columns, priors)
+        state = _start(nodes, columns, priors)
         mean = priors.mean.copy()
         mean[AT["iron"]] = state.shared[AT["iron"]]
         by_declination = columns["by_declination"] * knowledge.reference.declination_sigma
         return cls(
-            course,
+            Course(nodes, np.eye(3), nodes.quiet),
             columns,
             np.exp(-columns["distance"][1:] / priors.lengths.street),
             np.hypot(by_declination, columns["common_sigma"]),
@@ -282,28 +283,3 @@ def _start(nodes: Nodes, columns: Mapping[str, FloatArray], priors: Priors) -> S
     state = State(attitude, np.zeros((len(nodes), LOCAL)), shared)
     shared[AT["iron"]] = np.mean(nodes.field - attitude @ state.earth, axis=0)
     return state
-
-
-def course_of(field_: FloatArray) -> Course:
-    """Return the course of nodes at rest, by their field (n, 3) in nominal axes, µT."""
-    n, links = len(field_), len(field_) - 1
-    eyes, zeros = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-    still, force = np.ones(n, dtype=bool), np.tile([0.0, 0.0, STANDARD_GRAVITY], (n, 1))
-    nodes = Nodes(
-        time=np.arange(n, dtype=float),
-        field=field_,
-        inside=eyes,
-        rate=zeros,
-        count=np.ones(n),
-        quiet=still,
-        seconds=np.ones(links),
-        turned=eyes[:links],
-        angle=zeros[:links],
-        force=force[:links],
-        along=eyes[:links],
-        samples=np.zeros(links),
-        unseen=zeros[:links],
-        noise=0.0,
-        mean_force=force,
-    )
-    return Course(nodes, np.eye(3), still)

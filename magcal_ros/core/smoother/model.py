@@ -229,7 +229,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     measured, changing = partial(_measured, model, point), partial(_changing, model, point)
     per_node = (nodes.usual_count + (nodes.noise / sizes["field"]) ** 2) / nodes.count
     # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
-    per_node = per_node + course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
+    per_node = per_node + (course.moving == 0.5) * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = nodes.usual_samples / nodes.samples
 

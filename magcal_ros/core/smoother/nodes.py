@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -75,19 +76,20 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.time)
 
-    def between(self, start: float, end: float = math.inf) -> Nodes:
-        """Return the nodes after `start` up to `end`, seconds."""
+    def after(self, start: float) -> Nodes:
+        """Return the nodes after `start`, seconds."""
         assert self.currents is None  # A drive's log has no battery.
-        first, last = np.searchsorted(self.time, [start, end], side="right")
-        links = slice(first, max(last - 1, first))
+        first = int(np.searchsorted(self.time, start, side="right"))
+        return self._changed(lambda _, value: value[first:])
+
+    def _changed(self, change: Callable[[str, FloatArray], FloatArray]) -> Nodes:
+        """Return the nodes with a change of every field that has a value for each node or link."""
         changes = {}
         for each in fields(self):
             value = getattr(self, each.name)
-            if each.name in LINKS:
-                changes[each.name] = value[links]
-            elif isinstance(value, np.ndarray) and each.name != "tied_to":
-                changes[each.name] = value[first:last]
-        return replace(self, **changes)
+            if isinstance(value, np.ndarray) and each.name != "tied_to":
+                changes[each.name] = change(each.name, value)
+        return replace(self, **changes)  # type: ignore[arg-type]
 
     @property
     def is_tied(self) -> BoolArray:
@@ -304,48 +306,54 @@ def _with_rest(nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: F
     `to_rest` is the rotation from the body axes of the nearest node to those at rest.
     """
     is_before = rest.beside <= nodes.time[len(nodes) // 2]
-    at = 0 if is_before else len(nodes)
-    side = 0 if is_before else len(nodes) - 1
-    gap = max(abs(nodes.time[side] - rest.beside), 0.1)
-    near = nodes.time[side] - gap if is_before else nodes.time[side] + gap
-    far = near - rest.seconds if is_before else near + rest.seconds
-    times = np.array([far, near] if is_before else [near, far])
+    at, side, away = (0, 0, -1.0) if is_before else (len(nodes), len(nodes) - 1, 1.0)
+    end = float(nodes.time[side])
+    near = end + away * max(abs(end - rest.beside), 0.1)
+    far = near + away * rest.seconds
     per_second = nodes.count.sum() / max(np.ptp(nodes.time), 1e-3)
-    count = np.full(2, max(0.5 * rest.seconds * per_second, 1.0))
-    # From the start of the rest to its end, and from there to the node beside it.
-    order = slice(None) if is_before else slice(None, None, -1)
-    turned = np.array([np.eye(3), to_rest.T if is_before else to_rest])[order]
-    lag = at if is_before else at - 1
-    eyes, zeros, force = (
-        np.tile(np.eye(3), (2, 1, 1)),
-        np.zeros((2, 3)),
-        np.tile(rest.force, (2, 1)),
+    field, force = np.tile(to_body @ rest.field * MICROTESLA, (3, 1)), np.tile(rest.force, (3, 1))
+    kept, gap, to_next = (slice(0, 2), 1, to_rest.T) if is_before else (slice(1, 3), 0, to_rest)
+    count, turned, samples = np.ones(3), np.tile(np.eye(3), (2, 1, 1)), np.zeros(2)
+    count *= max(0.5 * rest.seconds * per_second, 1.0)
+    turned[gap], samples[1 - gap] = to_next, count[0]
+    # The node beside the rest, and both ends of the rest.
+    made = replace(
+        at_rest(np.sort([end, near, far]), field, force),
+        count=count,
+        turned=turned,
+        angle=-rotation_vectors(turned),
+        samples=samples,
     )
-    of_nodes = {
-        "time": times,
-        "field": np.tile(to_body @ rest.field * MICROTESLA, (2, 1)),
-        "inside": eyes,
-        "rate": zeros,
-        "count": count,
-        "quiet": np.array([True, True]),
-        "mean_force": force,
-        **({} if nodes.speed is None else {"speed": np.zeros(2)}),
-    }
-    of_links = {
-        "seconds": np.array([rest.seconds, gap])[order],
-        "turned": turned,
-        "angle": -rotation_vectors(turned),
-        "force": (force * [[1.0], [0.0]])[order],
-        "along": eyes,
-        "samples": np.array([count[0], 0.0])[order],
-        "unseen": zeros,
-    }
-    rows = [(at, of_nodes), (lag, of_links)]
-    changes = {
-        name: np.insert(getattr(nodes, name), where, values, axis=0)
-        for where, each in rows
-        for name, values in each.items()
-    }
-    if nodes.currents is not None:
-        changes["currents"] = nodes.currents.with_rest(at, *sorted((far, near)))
-    return replace(nodes, **changes)
+
+    def joined(name: str, value: FloatArray) -> FloatArray:
+        new, is_link = getattr(made, name), name in LINKS
+        return np.insert(value, [min(at, len(value))] * 2, new if is_link else new[kept], axis=0)
+
+    found = nodes._changed(joined)
+    if nodes.currents is None:
+        return found
+    return replace(found, currents=nodes.currents.with_rest(at, *sorted((far, near))))
+
+
+def at_rest(time: FloatArray, field: FloatArray, force: FloatArray) -> Nodes:
+    """Return nodes at rest without samples between them; field and force as those of `Nodes`."""
+    n, links = len(time), len(time) - 1
+    eyes, zeros = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    return Nodes(
+        time=time,
+        field=field,
+        inside=eyes,
+        rate=zeros,
+        count=np.ones(n),
+        quiet=np.ones(n, dtype=np.bool_),
+        seconds=np.diff(time),
+        turned=eyes[1:],
+        angle=zeros[1:],
+        force=force[1:],
+        along=eyes[1:],
+        samples=np.zeros(links),
+        unseen=zeros[1:],
+        noise=0.0,
+        mean_force=force,
+        speed=np.zeros(n),
+    )

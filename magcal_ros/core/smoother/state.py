@@ -94,7 +94,7 @@ def level_axes(up: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Rests, motion and added iron at the nodes."""
+    """Rests and motion at the nodes."""
 
     nodes: Nodes
     axes: FloatArray
@@ -110,28 +110,12 @@ class Course:
         return cls(nodes, axes, quiet & _beside(quiet))
 
     @cached_property
-    def edge(self) -> BoolArray:
-        """Whether the robot starts or stops in the node, shape (n,)."""
-        return ~self.still & _beside(self.still)
-
-    @cached_property
     def moving(self) -> FloatArray:
         """Expected fraction of the node in which the robot moves, shape (n,).
 
-        One, zero at rest, and a half at a start or stop.
+        One, zero at rest, and a half in a node in which the robot starts or stops.
         """
-        return np.where(self.edge, 0.5, (~self.still).astype(float))
-
-    @cached_property
-    def added(self) -> FloatArray:
-        """Expected fraction of the node with added iron: zero, one, or a half. Shape (n,)."""
-        return np.heaviside(self.nodes.time - self.nodes.added_from, 0.5)
-
-    @cached_property
-    def span(self) -> FloatArray:
-        """Time over the window's length, its middle at zero, shape (n,)."""
-        time = self.nodes.time
-        return np.asarray((time - time.mean()) / max(np.ptp(time), 1e-9))
+        return np.asarray(~self.still * np.where(_beside(self.still), 0.5, 1.0))
 
 
 def _beside(flags: BoolArray) -> BoolArray:

@@ -86,7 +86,7 @@ def test_the_correct_one_is_likelier_in_both_halves(whole):
 
 
 def test_too_little_data_give_an_empty_ratio(road):
-    assert proved(road.between(road.time[-3]), RIGHT).seconds == 0.0
+    assert proved(road.after(road.time[-3]), RIGHT).seconds == 0.0
 
 
 def test_added_iron_shows_at_more_than_one_quarter_of_the_headings(whole):
