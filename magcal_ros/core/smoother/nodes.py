@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
+from magcal_ros.core.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    accumulated,
+    block_means,
+    trapezoids,
+)
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import AttachedRest
 from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced
@@ -22,6 +29,13 @@ LINKS = ("seconds", "turned", "angle", "force", "along", "samples", "unseen")
 """Fields of `Nodes` that describe the links between nodes."""
 NO_GYRO_VARIANCE, NO_GYRO_SECONDS = 10.0, 1000.0
 """Variance of the rotation (radians²) and duration (seconds) of a link without gyro samples."""
+WITHOUT_GYRO: Mapping[str, float | FloatArray] = {
+    "seconds": NO_GYRO_SECONDS,
+    "unseen": NO_GYRO_VARIANCE,
+    **dict.fromkeys(("turned", "along"), np.eye(3)),
+    **dict.fromkeys(("angle", "samples"), 0.0),
+}
+"""Values of a link without gyro samples."""
 STILL_FIELD = 0.3
 """Change of the mean field between nodes of a robot at rest, in addition to noise, µT."""
 
@@ -154,13 +168,16 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     field = _without_spikes(window, spacing) @ to_body.T * MICROTESLA
     steps, unseen, velocity, intervals = gyro_steps(window)
     attitude = chained(exp_rotations(-steps)[None])[0]
-    lost = np.diff(time) > window.longest_step
+    lost = (np.diff(time) > window.longest_step).astype(float)
     first = _first_rows(time, steps, unseen, spacing, lost)
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2
-    from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
-    increments = steps, velocity, unseen
-    angle, force, missed, along = _between_middles(time, attitude, middle, *increments)
+    seconds, back = np.diff(time[middle]), np.swapaxes(attitude[middle], 1, 2)
+
+    def between(steps: FloatArray) -> FloatArray:
+        """Return the sums of steps (m - 1, ...) between the middles of neighbours."""
+        return np.diff(accumulated(steps)[middle], axis=0)
+
     if rested is None:
         quiet = _quiet(window, field, first)
     else:
@@ -168,25 +185,32 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     nodes = Nodes(
         time=time[middle],
         field=block_means(field, first),
-        inside=block_means(from_middle, first),
+        inside=block_means(attitude, first) @ back,
         rate=block_means(rate, first),
         count=(last - first).astype(float),
         quiet=quiet,
-        seconds=np.diff(time[middle]),
-        turned=attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
-        samples=np.add.reduceat(np.append(intervals, 0.0), middle)[:-1],
-        angle=angle,
-        force=force,
-        along=along,
-        unseen=missed,
+        seconds=seconds,
+        turned=attitude[middle[1:]] @ back[:-1],
+        samples=between(intervals),
+        angle=between(steps),
+        force=between(velocity) / seconds[:, None],
+        along=between(trapezoids(time, attitude)) @ back[:-1] / seconds[:, None, None],
+        unseen=between(unseen),
         noise=float(np.median(white_noise(field))),
         mean_force=block_means(window.specific_force, first),
         speed=None if window.wheel_speed is None else block_means(window.wheel_speed, first),
         currents=_currents(window, first, quiet),
         working=working_axes(rate),
     )
-    nodes = _without_lost_links(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
-    return _with_rests(nodes, window, attitude, middle, to_body)
+    without_gyro = between(lost) > 0.0
+    for name, value in WITHOUT_GYRO.items():
+        getattr(nodes, name)[without_gyro] = value
+    for rest in window.rests:
+        is_before = rest.beside <= time[len(time) // 2]
+        beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
+        to_rest = rest.turned @ attitude[beside] @ back[0 if is_before else -1]
+        nodes = _with_rest(nodes, rest, to_rest, to_body, is_before=is_before)
+    return nodes
 
 
 def _without_spikes(window: Window, spacing: Spacing) -> FloatArray:
@@ -200,33 +224,16 @@ def _without_spikes(window: Window, spacing: Spacing) -> FloatArray:
     return spikes_replaced(window.field) if is_fast else window.field
 
 
-def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
-    """Return the nodes without the links (n - 1,) in which gyro samples are missing."""
-    if not lost.any():
-        return nodes
-    empty = {
-        "seconds": NO_GYRO_SECONDS,
-        "unseen": NO_GYRO_VARIANCE,
-        **dict.fromkeys(("turned", "along"), np.eye(3)),
-        **dict.fromkeys(("angle", "samples"), 0.0),
-    }
-    changes = {}
-    for name, value in empty.items():
-        changes[name] = getattr(nodes, name).copy()
-        changes[name][lost] = value
-    return replace(nodes, **changes)
-
-
 def _first_rows(
-    time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing, lost: BoolArray
+    time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing, lost: FloatArray
 ) -> IntArray:
     """Return the first row of each node."""
     turned = np.linalg.norm(steps, axis=1) / spacing.most_turn
     missed = np.sqrt(unseen.max(axis=1)) / spacing.most_unseen
     worth = np.maximum.reduce([np.diff(time) / spacing.longest, turned, missed])
-    clock = np.concatenate([[0.0], np.cumsum(worth)])
+    clock = accumulated(worth)
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
-    clock += np.concatenate([[0.0], np.cumsum(lost)])
+    clock += accumulated(lost)
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # A short remainder at the end is dropped: as a node it would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
@@ -266,46 +273,13 @@ def _spread(values: FloatArray, first: IntArray) -> FloatArray:
     return np.asarray(np.sqrt(block_means((values - mean) ** 2, first)).max(axis=1))
 
 
-def _between_middles(
-    time: FloatArray,
-    attitude: FloatArray,
-    middle: IntArray,
-    steps: FloatArray,
-    velocity: FloatArray,
-    unseen: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return `angle`, `force`, `unseen` and `along` of `Nodes`, by the trapezoidal rule."""
-    seconds, ends = np.diff(time[middle]), np.diff(middle)
-    rows, begin = np.arange(middle[0], middle[-1]), middle[:-1] - middle[0]
-    share = np.diff(time)[rows] / np.repeat(seconds, ends)
-    back = np.swapaxes(attitude[np.repeat(middle[:-1], ends)], 1, 2)
-    along = 0.5 * share[:, None, None] * (attitude[rows] + attitude[rows + 1]) @ back
-    angle, force, missed, turned = (
-        np.add.reduceat(each, begin, axis=0)
-        for each in (steps[rows], velocity[rows], unseen[rows], along)
-    )
-    return angle, force / seconds[:, None], missed, turned
-
-
-def _with_rests(
-    nodes: Nodes, window: Window, attitude: FloatArray, middle: IntArray, to_body: FloatArray
+def _with_rest(
+    nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: FloatArray, *, is_before: bool
 ) -> Nodes:
-    """Add the rests before and after a window, linked by the gyro's attitudes (n, 3, 3)."""
-    time = window.time
-    for rest in window.rests:
-        beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
-        end = middle[0] if rest.beside <= time[len(time) // 2] else middle[-1]
-        to_rest = rest.turned @ attitude[beside] @ attitude[end].T
-        nodes = _with_rest(nodes, rest, to_rest, to_body)
-    return nodes
-
-
-def _with_rest(nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
     """Add a rest before or after a window as two nodes, its start and its end.
 
     `to_rest` is the rotation from the body axes of the nearest node to those at rest.
     """
-    is_before = rest.beside <= nodes.time[len(nodes) // 2]
     at, side, away = (0, 0, -1.0) if is_before else (len(nodes), len(nodes) - 1, 1.0)
     end = float(nodes.time[side])
     near = end + away * max(abs(end - rest.beside), 0.1)
