@@ -28,7 +28,7 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.state import SECTORS
+from magcal_ros.core.smoother.state import SECTORS, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -110,10 +110,9 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     check_length(nodes)
     priors = priors_of(knowledge, log.bias_sigma).with_dead_axes(nodes.working)
     state, about = start(nodes, priors)
-    try:
-        found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
-    except np.linalg.LinAlgError as fault:
-        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION) from fault
+    found = fit_on_wheels(nodes, about, state)
+    if found is None:
+        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
     if not is_possible(found):
         raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
     return DriveFit(found, posterior(found, knowledge.mounting.matrix))
@@ -174,16 +173,22 @@ def held_priors(
 
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     """Return the fit of corrected nodes; None if it fails."""
+    state, about = start(inside, priors)
+    mean = about.mean.copy()
+    # The expected remaining hard iron is zero, not that of the start.
+    mean[AT["iron"]] = priors.mean[AT["iron"]]
+    shared = mean.copy()
+    for which in (AT["gyro_bias"], EARTH):
+        shared[which] = state.shared[which]
+    return fit_on_wheels(inside, replace(priors, mean=mean), replace(state, shared=shared))
+
+
+def fit_on_wheels(
+    nodes: Nodes, priors: Priors, state: State, like: Fit | None = None
+) -> Fit | None:
+    """Return the fit of a drive on wheels; None if a matrix is not positive definite."""
     try:
-        state, about = start(inside, priors)
-        mean = about.mean.copy()
-        # The expected remaining hard iron is zero, not that of the start.
-        mean[AT["iron"]] = priors.mean[AT["iron"]]
-        shared = mean.copy()
-        for which in (AT["gyro_bias"], EARTH):
-            shared[which] = state.shared[which]
-        initial, held = replace(state, shared=shared), replace(priors, mean=mean)
-        return fit(inside, held, initial, KINDS[ON_WHEELS], TOLERANCES)
+        return fit(nodes, priors, state, KINDS[ON_WHEELS], TOLERANCES, like)
     except np.linalg.LinAlgError:
         return None
 

@@ -24,7 +24,6 @@ from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
     BODY_FIELD,
-    CURRENT_LATE,
     EARTH,
     KINDS,
     MOTORS,
@@ -59,36 +58,31 @@ class Model:
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
         """Return the model of a window for one kind of motion."""
-        scale = priors.scale.copy()
-        scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
-        scale[AT["gradient"]] *= kind.gradient
+        scale = priors.scale
+        scales: dict[str, FloatArray | float] = {
+            "lever_arm": scale[AT["lever_arm"]] * kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0],
+            "gradient": scale[AT["gradient"]] * kind.gradient,
+        }
         if not kind.has_wheels:
-            scale[AT["mounting_yaw"]] = 0.0
+            scales["mounting_yaw"] = 0.0
         if not kind.traffic:
             # A turn is too short for the gyro's bias to change.
-            scale[AT["bias_walk"]] = 0.0
+            scales["bias_walk"] = 0.0
         if nodes.currents is not None and scale[AT["motors_moving"]].all():
-            per_ampere = 1.0 / nodes.currents.battery.largest
-            scale[AT["motors_current"]] = per_ampere * np.array(UNKNOWNS["motors_current"].sigma)
-            scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
-        axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
+            sigma = np.array(UNKNOWNS["motors_current"].sigma)
+            scales["motors_current"] = sigma / nodes.currents.battery.largest
+            scales["current_late"] = UNKNOWNS["current_late"].sigma[0]
         # On wheels the velocity changes less sideways than ahead.
         accelerations = zip(CHANGES, kind.accelerations, strict=True)
         begins = {n: priors.sizes[n]._replace(start=size) for n, size in accelerations}
-        spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
-        return cls(
-            nodes,
-            axes,
-            replace(
-                priors,
-                scale=scale,
-                spread=spread,
-                iron_over_axes=priors.iron_over_axes * kind.soft_iron,
-                sizes={**priors.sizes, **begins},
-            ),
-            kind,
-            priors.fields.about(start.shared[EARTH]),
+        own = replace(
+            priors.with_scales(scales),
+            spread={**priors.spread, **dict.fromkeys(MOTORS, kind.motors)},
+            iron_over_axes=priors.iron_over_axes * kind.soft_iron,
+            sizes={**priors.sizes, **begins},
         )
+        axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
+        return cls(nodes, axes, own, kind, priors.fields.about(start.shared[EARTH]))
 
     @property
     def rows_of_earth(self) -> IntArray:
@@ -197,36 +191,26 @@ def _measured(
     linear: Residuals,
     scale: FloatArray,
     more: FloatArray | float = 0.0,
+    at_rest: tuple[str, BoolArray] | None = None,
 ) -> WeightedResiduals:
     """Weight residuals of one noise by the inverse of the variance size² `scale` + `more`.
 
-    An infinite scale (k,) leaves a residual out.
+    An infinite scale (k,) leaves a residual out. `at_rest` is the noise of some residuals (k,)
+    instead of this one.
     """
-    variance, freedom = point.sizes[name] ** 2 * scale + more, point.freedom(model, name)
-    return WeightedResiduals(linear, variance, freedom, {name: np.isfinite(scale)})
-
-
-def _changing(
-    model: Model,
-    point: Point,
-    names: tuple[str, str],
-    linear: Residuals,
-    scale: FloatArray,
-    at_rest: BoolArray,
-) -> WeightedResiduals:
-    """Weigh the residuals (k,) of a process that has one size at rest and another otherwise."""
-    rest, other = names
-    size = np.where(at_rest, point.sizes[rest], point.sizes[other])
-    freedom = np.where(at_rest, point.freedom(model, rest), point.freedom(model, other))
-    variance = size**2 * scale + LEAST_VARIANCE
-    return WeightedResiduals(linear, variance, freedom, {rest: at_rest, other: ~at_rest})
+    sized = {name: np.ones(len(scale), dtype=np.bool_)}
+    if at_rest is not None:
+        sized = {name: ~at_rest[1], at_rest[0]: at_rest[1]}
+    size = np.sum([point.sizes[each] * rows for each, rows in sized.items()], axis=0)
+    freedom = np.sum([point.freedom(model, n) * rows for n, rows in sized.items()], axis=0)
+    return WeightedResiduals(linear, size**2 * scale + more, freedom, sized)
 
 
 def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     """Return all residuals with their variances."""
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, places, course = nodes.seconds, point.places, point.course
-    measured, changing = partial(_measured, model, point), partial(_changing, model, point)
+    measured = partial(_measured, model, point)
     per_node = (nodes.usual_count + (nodes.noise / sizes["field"]) ** 2) / nodes.count
     # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
     per_node = per_node + (course.moving == 0.5) * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
@@ -243,11 +227,12 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     correlation = np.exp(-seconds / lengths.body_field) * (still[1:] == still[:-1])
     found = {
         "field": measured("field", field, per_node),
-        "body_field": changing(
-            ("body_field", "motors_noise"),
+        "body_field": measured(
+            "motors_noise",
             factors.process(state, BODY_FIELD, correlation),
             1.0 - correlation**2,
-            still[1:],
+            LEAST_VARIANCE,
+            ("body_field", still[1:]),
         ),
     }
     if nodes.tied_to is not None:
@@ -269,11 +254,12 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
-        "street": changing(
-            ("traffic", "street"),
+        "street": measured(
+            "street",
             factors.process(state, STREET, correlation),
             np.where(stands, seconds, 1.0 - correlation**2),
-            stands,
+            LEAST_VARIANCE,
+            ("traffic", stands),
         ),
         **_motion(model, point, 0),
         **_motion(model, point, 1),

@@ -44,7 +44,7 @@ LARGEST_MOTORS = 20.0
 PIECE_SECONDS = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
 
 
-def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> tuple[State, Priors]:
+def start(nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
     """Return an initial state, and the priors about it.
 
     With the rotation R from level axes, the field is linear in the unknowns: `m = R c + h + k u +
@@ -63,7 +63,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
         unknown = nodes.currents.variance(USUALLY_LATE)
         node_weight = 1.0 / (1.0 + unknown * (LARGEST_MOTORS / largest) ** 2 / 3.0)
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
-    for bias in biases:
+    for bias in BIASES:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.hstack(list(motor_inputs(course, priors.mean).values()))
         motors[:, 2:] /= largest
