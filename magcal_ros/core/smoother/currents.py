@@ -108,9 +108,9 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
 
         def cost(logs: FloatArray, passed: FloatArray = passed, moves: FloatArray = moves) -> float:
             sizes = np.exp(logs)
-            steps_by = _Steps.of(passed @ sizes[:-2], sizes[-2] * moves + sizes[-1])
+            known, _ = _explained(steps, passed @ sizes[:-2], sizes[-2] * moves + sizes[-1])
             off = (logs - usual) / SPREAD
-            return steps_by.cost(steps) + float(off @ off)
+            return known + float(off @ off)
 
         made = minimize(cost, found, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
         more = ((delay - USUALLY_LATE) / late) ** 2
@@ -119,36 +119,24 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
     return np.asarray(np.exp(found))
 
 
-@dataclass(frozen=True, eq=False)
-class _Steps:
-    """Differences of neighbouring messages of a walk with a ripple; their covariance is banded."""
+def _explained(
+    steps: FloatArray, walked: FloatArray, ripple: FloatArray
+) -> tuple[float, FloatArray]:
+    """Return how well a walk with a ripple explains differences of neighbouring messages (k - 1,).
 
-    ripple: FloatArray  # variance of each message's ripple and noise, A². Shape (k,).
-    factor: FloatArray  # Cholesky factor of the covariance. Shape (2, k - 1).
+    Returned are minus twice the logarithm of the likelihood, up to a constant, and the posterior
+    mean of each message's ripple, A, (k,). The variances of the walk (k - 1,), and of ripple and
+    noise (k,), are in A². The covariance of the differences is banded.
+    """
+    from scipy.linalg import cho_solve_banded, cholesky_banded
 
-    @classmethod
-    def of(cls, walked: FloatArray, ripple: FloatArray) -> _Steps:
-        """Return the steps, given the variances of the walk (k - 1,) and the ripple (k,), A²."""
-        from scipy.linalg import cholesky_banded
-
-        band = np.zeros((2, len(walked)))
-        band[0, 1:] = -ripple[1:-1]
-        band[1] = walked + ripple[1:] + ripple[:-1] + LEAST
-        return cls(ripple, cholesky_banded(band))
-
-    def cost(self, steps: FloatArray) -> float:
-        """Return minus twice the logarithm of the likelihood, up to a constant."""
-        solved = self._solved(steps)
-        return float(2.0 * np.sum(np.log(self.factor[1])) + steps @ solved)
-
-    def of_ripple(self, steps: FloatArray) -> FloatArray:
-        """Return the posterior mean of each message's ripple, A, (k,)."""
-        return np.asarray(self.ripple * -np.diff(self._solved(steps), prepend=0.0, append=0.0))
-
-    def _solved(self, steps: FloatArray) -> FloatArray:
-        from scipy.linalg import cho_solve_banded
-
-        return np.asarray(cho_solve_banded((self.factor, False), steps))
+    band = np.zeros((2, len(walked)))
+    band[0, 1:] = -ripple[1:-1]
+    band[1] = walked + ripple[1:] + ripple[:-1] + LEAST
+    factor = cholesky_banded(band)
+    solved = cho_solve_banded((factor, False), steps)
+    cost = float(2.0 * np.sum(np.log(factor[1])) + steps @ solved)
+    return cost, np.asarray(ripple * -np.diff(solved, prepend=0.0, append=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,15 +160,11 @@ class Currents:
         return (self._means(delay + STEP) - self._means(delay - STEP)) / (2.0 * STEP)
 
     def _means(self, delay: float) -> FloatArray:
-        now = np.interp(self.clock.at(self._moments), *self._walk(delay))
-        return np.asarray(now.mean(axis=1))
-
-    def _walk(self, delay: float) -> tuple[FloatArray, FloatArray]:
-        """Return the clock at the messages, A², and the current without its ripple there, A."""
         moments, current = self.battery.time - delay, self.battery.current
-        known = self.clock.at(moments)
-        steps = _Steps.of(np.diff(known), self.clock.message_variance(moments))
-        return known, current - steps.of_ripple(np.diff(current))
+        known, variance = self.clock.at(moments), self.clock.message_variance(moments)
+        _, ripple = _explained(np.diff(current), np.diff(known), variance)
+        now = np.interp(self.clock.at(self._moments), known, current - ripple)
+        return np.asarray(now.mean(axis=1))
 
     def variance(self, delay: float) -> FloatArray:
         """Return the variance of each node's current, given the messages, A², (n,).
