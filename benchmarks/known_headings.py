@@ -47,7 +47,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.simulation import DEGREE, Robot
-from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.propagation import GyroBias
 

@@ -27,7 +27,7 @@ from magcal_ros.ros.worker_process import WorkerProcess
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
     from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
-    from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+    from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 
 TOPIC = "heading"
 VALID_FOR = 1.0

@@ -17,11 +17,11 @@ from magcal_ros.core.methods.methods_tuning import CONTRADICTION
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
+    KnownHeadingMeasurement,
     agreement_of,
     fit_headings,
     sigma_with,
 )
-from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, ROLL_PITCH, YAW, Size
 
 METHOD = "known_headings"

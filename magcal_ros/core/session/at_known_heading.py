@@ -25,7 +25,7 @@ from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.session_tuning import KNOWN, LOG, SESSION
-from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.smoother.state import SECTORS
 from magcal_ros.core.smoother.unknowns import (
     DISTURBANCE_AT_REST,

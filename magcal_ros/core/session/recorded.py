@@ -50,7 +50,7 @@ from magcal_ros.core.session.at_known_heading import (
 )
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None

@@ -15,11 +15,10 @@ __getattr__, __dir__, __all__ = lazy_names(
     factors: Residuals
     fit: Damping Fit
     gyro_swing: gyro_compass_swing
-    headings: fit_headings
+    headings: KnownHeadingMeasurement fit_headings
     iron_added: find_change
     joint_fit: JointFit fit_jointly imagined_information
     kinds_of_motion: part_with_most_motion smooth
-    known_heading_model: KnownHeadingMeasurement
     nodes: nodes_of
     places: Places
     priors: priors_of

@@ -10,11 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.earth import EarthFieldPrior
 from magcal_ros.core.smoother.unknowns import (
     ALIKE,
     AT,
+    BIAS_UP,
     CURRENT_LATE,
     EARTH,
     EXACT_IRON,
@@ -29,6 +31,7 @@ from magcal_ros.core.smoother.unknowns import (
     SWAY,
     UNKNOWNS,
     USUALLY_LATE,
+    YAW,
     Lengths,
     Size,
 )
@@ -51,6 +54,12 @@ OF_INEXACT_SENSORS = (
     *("force_moving", "force_offset", "axes", "shielding", "gradient"),
 )
 """Groups that are zero with exact sensors."""
+
+BY_MOTION = (
+    *("gyro_bias", "bias_walk", "gyro_matrix", "lever_arm", "latency"),
+    *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
+)
+"""Unknowns of motion, which are zero at known headings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,3 +255,26 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         held |= {"axes", "soft_iron", "shielding"}
     return found.with_scales(dict.fromkeys(held, 0.0))
+
+
+def priors_at_known_headings(knowledge: Knowledge, by_gyro: bool) -> Priors:
+    """Return the priors of measurements; uncertain sigmas are replaced by their RMS."""
+    priors = priors_of(knowledge)
+    scale = priors.scale.copy()
+    for name, at in AT.items():
+        scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
+    # Only known headings show the yaw of the magnetometer.
+    scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
+    if by_gyro:
+        scale[BIAS_UP] = FUSION.bias_sigma
+    return replace(priors, scale=scale)
+
+
+def _mean_factor(name: str, priors: Priors) -> float:
+    """Return the root mean square of the factor of a group's sigmas (`Unknown`)."""
+    spread = priors.spread[name]
+    if spread == 0.0:
+        return 1.0
+    x = np.linspace(-6.0 * spread, math.log(priors.most[name]), 400)
+    odds = np.exp(priors.log_density(name, x, {}))
+    return math.sqrt(float(np.sum(odds * np.exp(2.0 * x)) / np.sum(odds)))
