@@ -7,7 +7,7 @@ Attitudes are perturbed on the body's side, R <- exp(phi) R.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,6 @@ from magcal_ros.core.smoother.unknowns import (
     BODY_FIELD,
     CURRENT_LATE,
     HEADING_DRIFT,
-    HEADING_RATE,
     LOCAL,
     ROLL_PITCH,
     SHARED,
@@ -264,7 +263,7 @@ def _heading_residual(
 
 
 def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int, int]) -> Residuals:
-    """Return the residuals of a process of second order, x[k + 1] = F x[k] + noise.
+    """Return the residuals of a process by two unknowns, x[k + 1] = F x[k] + noise.
 
     `row` is the index of the unknown at the nodes. `correlation` (2, n - 1) are the coefficients F
     of the two unknowns `by` at the previous node.
@@ -280,11 +279,3 @@ def process(state: State, which: slice, correlation: FloatArray) -> Residuals:
     values, eye = state.local[:, which], np.eye(which.stop - which.start)
     residual = correlation[:, None] * values[:-1] - values[1:]
     return Residuals(residual, [(which, -correlation[:, None, None] * eye)], [(which, eye)])
-
-
-def heading_drift(state: State, correlation: FloatArray, seconds: FloatArray) -> Residuals:
-    """Return the residuals of a heading drift: a Gauss-Markov process, plus a constant rate."""
-    drift = process(state, HEADING_DRIFT, correlation)
-    by_rate = HEADING_RATE, -seconds[:, None, None]
-    evenly = seconds[:, None] * state.local[:-1, HEADING_RATE]
-    return replace(drift, residual=drift.residual + evenly, node=[*drift.node, by_rate])

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.attitude import level_part, unit
 from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.knowledge import Knowledge
@@ -215,11 +215,14 @@ class KnownHeadingModel:
         }
         if len(ones) > 1:
             turned, seconds, sigma = (of[k][1:] for k in ("turned", "seconds", "turned_sigma"))
-            kept = np.exp(-seconds / drift.time)
+            kept, drifting = (
+                np.exp(-seconds / drift.time),
+                (HEADING_DRIFT.start, HEADING_RATE.start),
+            )
             found |= {
                 "turn": (factors.known_turn(turned, seconds, of["forward"], state), sigma**2),
                 "drift": (
-                    factors.heading_drift(state, kept, seconds),
+                    factors.second_order(state, drifting[0], np.stack([kept, seconds]), drifting),
                     drift.sigma**2 * (1.0 - kept**2) + LEAST_VARIANCE,
                 ),
                 "drift rate": (
@@ -241,17 +244,12 @@ class KnownHeadingModel:
         local[0, STREET] = size**-2.0
         local[1:, STREET] = LEAST_VARIANCE
         local[:, BODY_FIELD] = SIZES["body_field"].rms ** -2.0
-        free = self.free
+        free = self.priors.free
         information = np.zeros((SHARED, SHARED))
         information[free, free] = self.priors.scale[free] ** -2.0
         information[EARTH, EARTH] = self.priors.fields.gaussian.information
         offset = self.priors.mean - state.shared
         return Prior(local, -state.local, information[np.ix_(free, free)], offset[free])
-
-    @property
-    def free(self) -> IntArray:
-        """The indices of the estimated shared unknowns."""
-        return np.flatnonzero(self.priors.scale > 0.0)
 
     def optimum(
         self,
@@ -261,7 +259,7 @@ class KnownHeadingModel:
         rounds: int = TOLERANCES.rounds,
     ) -> KnownHeadingOptimum:
         """Return the optimum after some steps at most; parameters as for `residuals`."""
-        state, free = start or self.start, self.free
+        state, free = start or self.start, self.priors.free
         for left in range(rounds, -1, -1):
             weighted, prior = self.residuals(state, size, drift), self.prior(state, size, drift)
             solution = solve(list(weighted.values()), prior, free)

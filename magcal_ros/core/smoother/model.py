@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -107,10 +107,10 @@ class Model:
             scale[at] *= groups[name]
         return scale
 
-    @cached_property
+    @property
     def free(self) -> IntArray:
         """Indices of the free shared unknowns, without the centres of places."""
-        return np.flatnonzero(self.priors.scale > 0.0)
+        return self.priors.free
 
 
 @dataclass(frozen=True, eq=False)

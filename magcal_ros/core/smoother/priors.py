@@ -209,9 +209,14 @@ class Priors:
         return axes, np.where(axes < math.log(self.most["axes"]), density, -math.inf)
 
     @cached_property
+    def free(self) -> IntArray:
+        """Indices of the free shared unknowns."""
+        return np.flatnonzero(self.scale > 0.0)
+
+    @cached_property
     def rows_of_group(self) -> dict[str, IntArray]:
         """Where the unknowns of each group are among all free ones."""
-        free = np.flatnonzero(self.scale > 0.0)
+        free = self.free
         return {
             name: np.flatnonzero((free >= at.start) & (free < at.stop)) for name, at in AT.items()
         }

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
 from magcal_ros.core.geometry.attitude import mean_angle, unit
 from magcal_ros.core.geometry.rotations import (
     chained,
@@ -31,7 +31,6 @@ from magcal_ros.core.smoother.unknowns import (
     MOTORS,
     RATE,
     ROLL_PITCH,
-    SHARED,
     SHIELDING,
     USUALLY_LATE,
 )
@@ -52,30 +51,27 @@ def start(nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
     per turn rate (w). A current adds a term of the same form. Installation and soft iron start at
     zero.
     """
-    up, level, yaw = in_first_axes(nodes)
+    up, level, yaw = _in_first_axes(nodes)
     run = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
     longest = run == np.bincount(run).argmax()
     piece = _pieces(nodes.time[longest])
-    best: tuple[float, float, FloatArray, FloatArray] | None = None
-    largest = 1.0 if nodes.currents is None else nodes.currents.battery.largest
-    node_weight = np.ones(len(nodes))
+    largest, node_weight = 1.0, np.ones(len(nodes))
     if nodes.currents is not None:
-        unknown = nodes.currents.variance(USUALLY_LATE)
+        largest, unknown = nodes.currents.battery.largest, nodes.currents.variance(USUALLY_LATE)
         node_weight = 1.0 / (1.0 + unknown * (LARGEST_MOTORS / largest) ** 2 / 3.0)
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
-    for bias in BIASES:
+
+    def tried(bias: float) -> tuple[float, float, FloatArray, FloatArray]:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.hstack(list(motor_inputs(course, priors.mean).values()))
         motors[:, 2:] /= largest
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
         rows = nodes.field[longest], turned[longest], motors[longest], piece, node_weight[longest]
         found, drifted, misfit = _linear(*rows, -float(priors.mean[EARTH][1]))
-        score = misfit * (1.0 + 2.0 * abs(bias))
-        if best is None or score < best[0]:
-            turned[longest] = turned[longest] @ rotation_about(Z, drifted)
-            best = score, bias, turned, found
-    assert best is not None
-    _, bias, turned, found = best
+        turned[longest] = turned[longest] @ rotation_about(Z, drifted)
+        return misfit * (1.0 + 2.0 * abs(bias)), bias, turned, found
+
+    _, bias, turned, found = min(map(tried, BIASES), key=lambda each: each[0])
     for each in np.unique(run[~longest]):
         turned[run == each] = _aligned(turned, nodes.field, found, run == each)
     north = rotation_about(Z, np.array([math.atan2(found[0], found[1])]))[0]
@@ -88,16 +84,15 @@ def start(nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
     about = priors.about(found[3:6], axes)
     shared[AT["mounting_yaw"]] = about.mean[AT["mounting_yaw"]]
     shared[EARTH] = priors.fields.at_level(math.hypot(found[0], found[1]))
-    assert shared.shape == (SHARED,)
     return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), about
 
 
-def in_first_axes(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _in_first_axes(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return up in body axes (n, 3), level axes (n, 3, 3), and the yaw (n,) by the gyro alone."""
     up = _up(nodes, chained(nodes.turned[None])[0])
     spin = np.sum(nodes.rate * up, axis=1)
     steps = np.where(nodes.is_tied, 0.5 * (spin[1:] + spin[:-1]) * nodes.seconds, 0.0)
-    return up, level_axes(up), np.concatenate([[0.0], np.cumsum(steps)])
+    return up, level_axes(up), accumulated(steps)
 
 
 def _aligned(
