@@ -96,13 +96,12 @@ def _of_all_moments(correction: Correction, fits: list[Fit], best: Fit) -> Drive
     If the iron was added late in a node, the fit with the node before it is nearly as likely, and
     takes the mean field of the node for that after the change.
     """
-    found = {str(k): added_to(correction, each, AT["added"]) for k, each in enumerate(fits)}
-    odds = {
-        name: math.exp(-EVIDENCE_WEIGHT * min(each.fit.evidence - best.evidence, 700.0))
-        for name, each in found.items()
+    posteriors = {
+        str(k): added_to(correction, each, AT["added"]).posterior for k, each in enumerate(fits)
     }
-    weights = {name: value / sum(odds.values()) for name, value in odds.items()}
-    posteriors = {name: each.posterior for name, each in found.items()}
+    worse = np.array([each.evidence - best.evidence for each in fits])
+    odds = np.exp(-EVIDENCE_WEIGHT * worse)
+    weights = dict(zip(posteriors, (odds / odds.sum()).tolist(), strict=True))
     return DriveFit(best, mixture(posteriors, weights, str(fits.index(best))))
 
 
