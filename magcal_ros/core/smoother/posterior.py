@@ -37,7 +37,7 @@ OF_CORRECTION = (
     *("iron", "installation", "axes", "turned", "soft_iron", "shielding", "force_offset"),
 )
 """Groups of shared unknowns on which the twelve numbers depend."""
-STEP = 1e-5  # of derivatives by them: radians, ratios, µT and m/s²
+STEP = 1e-6  # of derivatives by them: radians, ratios, µT and m/s²
 ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn counts as one way
 
 
@@ -96,7 +96,7 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
     shared = state.shared
     up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
-    jacobian = _by_shared(shared, to_sensor, up)
+    jacobian = _by_shared(correction, shared, to_sensor, up)
     known_by = 3 if known[AT["motors_current"], AT["motors_current"]].any() else 2
     by_motors = np.zeros((3 * known_by, SHARED))
     for k, name in enumerate(MOTORS[:known_by]):
@@ -169,14 +169,13 @@ def _to_shown(shared: FloatArray, up: FloatArray) -> FloatArray:
     return np.asarray(exp_rotations(np.cross(up, shown)[None])[0])
 
 
-def _by_shared(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> FloatArray:
+def _by_shared(
+    here: Correction, shared: FloatArray, to_sensor: FloatArray, up: FloatArray
+) -> FloatArray:
     """Return the derivative of the twelve numbers by the shared unknowns, (12, SHARED)."""
     out = np.zeros((PARAMETERS, SHARED))
     for name in OF_CORRECTION:
         for k in range(AT[name].start, AT[name].stop):
-            step = STEP * (np.arange(SHARED) == k)
-            ahead, behind = (
-                correction_of(shared + by, to_sensor, up).parameters for by in (step, -step)
-            )
-            out[:, k] = (ahead - behind) / (2.0 * STEP)
+            ahead = correction_of(shared + STEP * (np.arange(SHARED) == k), to_sensor, up)
+            out[:, k] = (ahead.parameters - here.parameters) / STEP
     return out
