@@ -19,7 +19,6 @@ from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32  # centres at most
 REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a repeated pass
-SHORTEST_LOOP = 5.0  # metres of path between two passes of a place, at least
 NEAR_SHARE, NEAR_LENGTH = 0.3, 2.0
 """Share of the variance that is alike over a few metres only, and their number: in streets 20 to
 40% of it changes within 2 m."""
@@ -111,7 +110,7 @@ def _passed_again(way: FloatArray, length: float) -> BoolArray:
     metres = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.abs(metres[:, None] - metres)
     apart = _distances(way, way)
-    again = (along > REVISIT_RATIO * apart) & (along > SHORTEST_LOOP) & (apart < length)
+    again = (along > REVISIT_RATIO * np.maximum(apart, NEAR_LENGTH)) & (apart < length)
     return np.asarray(again.any(axis=1))
 
 

@@ -37,7 +37,6 @@ OF_CORRECTION = (
     *("iron", "installation", "axes", "turned", "soft_iron", "shielding", "force_offset"),
 )
 """Groups of shared unknowns on which the twelve numbers depend."""
-STEP = 1e-6  # of derivatives by them: radians, ratios, µT and m/s²
 ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn counts as one way
 
 
@@ -173,9 +172,9 @@ def _by_shared(
     here: Correction, shared: FloatArray, to_sensor: FloatArray, up: FloatArray
 ) -> FloatArray:
     """Return the derivative of the twelve numbers by the shared unknowns, (12, SHARED)."""
-    out = np.zeros((PARAMETERS, SHARED))
+    out, step = np.zeros((PARAMETERS, SHARED)), math.sqrt(np.finfo(np.float64).eps)
     for name in OF_CORRECTION:
         for k in range(AT[name].start, AT[name].stop):
-            ahead = correction_of(shared + STEP * (np.arange(SHARED) == k), to_sensor, up)
-            out[:, k] = (ahead.parameters - here.parameters) / STEP
+            ahead = correction_of(shared + step * (np.arange(SHARED) == k), to_sensor, up)
+            out[:, k] = (ahead.parameters - here.parameters) / step
     return out
