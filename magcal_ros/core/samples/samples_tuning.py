@@ -21,8 +21,9 @@ class StreamTuning:
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
     """Tesla, twenty times the Earth's field. More is a unit error or a magnet on the sensor."""
-    largest_imu: float = 1e5
-    """m/s² and rad/s. No sensor reads more, milli-g and degrees published as these included."""
+    largest_force: float = 1e5
+    """m/s². No accelerometer reads more, milli-g published as m/s² included."""
+    largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
 
 
 @dataclass(frozen=True)

@@ -127,9 +127,9 @@ class Streams:
         """
         p, q, r = sample.rate
         went_back_from = self.imu_stamps.newest
-        reason = _fault(sample.force, STREAMS.largest_imu)
+        reason = _fault(sample.force, STREAMS.largest_force)
         # Without a gyro the rate is NaN, and the comparison is false.
-        if reason is None and p * p + q * q + r * r > STREAMS.largest_imu**2:
+        if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = DropReason.TOO_LARGE
         has_rate = math.isfinite(p + q + r)
         # A rate shortly before means that there is a gyro.

@@ -157,8 +157,8 @@ def optimum(
 ) -> Optimum:
     """Iterate from initial points to the optimum of all windows.
 
-    `first` is the number of the first round. They end early if the evidence will not come below
-    `limit`. With `keeps_places` the places passed are not found again at the optimum.
+    `first` is the number of the first round. The iterations end early if the evidence will not come
+    below `limit`. With `keeps_places` the places passed are not found again at the optimum.
     Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models, points, fewest = list(models), list(points), min(tolerances.fewest, tolerances.rounds)

@@ -215,10 +215,8 @@ class KnownHeadingModel:
         }
         if len(ones) > 1:
             turned, seconds, sigma = (of[k][1:] for k in ("turned", "seconds", "turned_sigma"))
-            kept, drifting = (
-                np.exp(-seconds / drift.time),
-                (HEADING_DRIFT.start, HEADING_RATE.start),
-            )
+            kept = np.exp(-seconds / drift.time)
+            drifting = HEADING_DRIFT.start, HEADING_RATE.start
             found |= {
                 "turn": (factors.known_turn(turned, seconds, of["forward"], state), sigma**2),
                 "drift": (

@@ -198,11 +198,14 @@ def _measured(
     An infinite scale (k,) leaves a residual out. `at_rest` is the noise of some residuals (k,)
     instead of this one.
     """
+    size: FloatArray | float = point.sizes[name]
+    freedom: FloatArray | float = point.freedom(model, name)
     sized = {name: np.ones(len(scale), dtype=np.bool_)}
     if at_rest is not None:
-        sized = {name: ~at_rest[1], at_rest[0]: at_rest[1]}
-    size = np.sum([point.sizes[each] * rows for each, rows in sized.items()], axis=0)
-    freedom = np.sum([point.freedom(model, n) * rows for n, rows in sized.items()], axis=0)
+        rest, rows = at_rest
+        size = np.where(rows, point.sizes[rest], size)
+        freedom = np.where(rows, point.freedom(model, rest), freedom)
+        sized = {name: ~rows, rest: rows}
     return WeightedResiduals(linear, size**2 * scale + more, freedom, sized)
 
 
@@ -213,7 +216,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     measured = partial(_measured, model, point)
     per_node = (nodes.usual_count + (nodes.noise / sizes["field"]) ** 2) / nodes.count
     # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
-    per_node = per_node + (course.moving == 0.5) * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
+    per_node = per_node + course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = nodes.usual_samples / nodes.samples
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -98,12 +99,12 @@ class Nodes:
 
     def _changed(self, change: Callable[[str, FloatArray], FloatArray]) -> Nodes:
         """Return the nodes with a change of every field that has a value for each node or link."""
-        changes = {}
+        changes: dict[str, Any] = {}
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, np.ndarray) and each.name != "tied_to":
                 changes[each.name] = change(each.name, value)
-        return replace(self, **changes)  # type: ignore[arg-type]
+        return replace(self, **changes)
 
     @property
     def is_tied(self) -> BoolArray:

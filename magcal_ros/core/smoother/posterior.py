@@ -16,9 +16,7 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.smoother.factors import (
-    distortion,
-)
+from magcal_ros.core.smoother.factors import distortion
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
@@ -33,9 +31,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 INPUTS = MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT
 """The inputs of the motors' unknowns (`MOTORS`); the current is the last, as it may be unknown."""
-OF_CORRECTION = (
-    *("iron", "installation", "axes", "turned", "soft_iron", "shielding", "force_offset"),
-)
+OF_CORRECTION = "iron", "installation", "axes", "turned", "soft_iron", "shielding", "force_offset"
 """Groups of shared unknowns on which the twelve numbers depend."""
 ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn counts as one way
 

@@ -110,12 +110,17 @@ class Course:
         return cls(nodes, axes, quiet & _beside(quiet))
 
     @cached_property
+    def edge(self) -> BoolArray:
+        """Whether the robot starts or stops in the node, shape (n,)."""
+        return ~self.still & _beside(self.still)
+
+    @cached_property
     def moving(self) -> FloatArray:
         """Expected fraction of the node in which the robot moves, shape (n,).
 
         One, zero at rest, and a half in a node in which the robot starts or stops.
         """
-        return np.asarray(~self.still * np.where(_beside(self.still), 0.5, 1.0))
+        return np.where(self.edge, 0.5, (~self.still).astype(float))
 
 
 def _beside(flags: BoolArray) -> BoolArray:

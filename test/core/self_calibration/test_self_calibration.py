@@ -441,6 +441,7 @@ def test_jumps_of_stamps_usually_delay_self_calibration_by_at_most_a_minute(jump
         np.array([first_calibration(seed, each) for seed in seeds]) for each in (jump, None)
     )
     assert np.median(made[:, 0] - undisturbed[:, 0]) < 75.0
+    assert made[:, 0].max() < 300.0
     assert made[:, 1] == pytest.approx(undisturbed[:, 1], abs=15.0)
 
 
