@@ -152,12 +152,9 @@ class _MotionFits:
 
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        known, rival = self.fits.get(name), math.inf
-        if like is not None and like is not known:
-            # A first fit, or one that is continued, may improve slowly for many rounds.
-            rival = self._equal_weight(name)
+        known = self.fits.get(name)
         try:
-            found = fit(*start, tolerances, like, report, rival)
+            found = fit(*start, tolerances, like, report, self._equal_weight(name))
         except np.linalg.LinAlgError:
             return
         if not is_possible(found):
