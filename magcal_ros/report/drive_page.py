@@ -15,6 +15,7 @@ from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_hea
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.self_calibration.drive_replay import DrivePath, DriveReplay
 from magcal_ros.core.self_calibration.jobs import DecisionKind, difference
+from magcal_ros.core.up.filter import FILTER
 from magcal_ros.files.disk import FileError, write_atomically
 from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import page_head, table
@@ -236,7 +237,7 @@ def _named(name: str, x: float, y: float) -> str:
 def _how(path: DrivePath) -> str:
     if path.is_measured:
         return "North is up; the positions are from the receiver."
-    guess = "" if path.has_speed else " and an assumed speed of 5 m/s"
+    guess = "" if path.has_speed else f" and an assumed speed of {FILTER.usual_speed:g} m/s"
     return (
         f"North is up. Without fixes, the positions are computed from the compass{guess}, so only "
         "the shape is right."

@@ -63,13 +63,27 @@ def test_the_offset_from_course_is_on_the_page():
     assert 'id="course">After: compass minus course +3.0°' in render_drive(reported, "a drive")
 
 
-def test_the_colour_is_the_angle_by_a_disturbance_across_the_field():
-    strength, dip = 50e-6, math.radians(60.0)
+STRENGTH, DIP = 50e-6, math.radians(60.0)
+CLEAN = np.array([0.0, STRENGTH * math.cos(DIP), -STRENGTH * math.sin(DIP)])
+
+
+def path_by(raw, speed):
     correction = Correction(np.eye(3), np.zeros(3))
     evidence = Evidence("smoother", "good", "good", "")
-    calibration = Calibration(correction, np.eye(12) * 1e-14, 5e-7, 0.01, strength, dip, evidence)
-    clean = np.array([0.0, strength * math.cos(dip), -strength * math.sin(dip)])
-    raw = np.array([clean, clean + np.array([0.0, 5e-6, 0.0]), clean])
-    up = np.tile([0.0, 0.0, 1.0], (3, 1))
-    path = path_along(calibration, np.arange(3.0), raw, up, np.ones(3))
+    calibration = Calibration(correction, np.eye(12) * 1e-14, 5e-7, 0.01, STRENGTH, DIP, evidence)
+    up = np.tile([0.0, 0.0, 1.0], (len(raw), 1))
+    return path_along(calibration, np.arange(float(len(raw))), raw, up, speed)
+
+
+def test_the_page_names_the_speed_that_its_map_assumes():
+    path = path_by(np.tile(CLEAN, (5, 1)), np.full(5, math.nan))
+    page = render_drive(DriveReplay((), None, None, 5.0, 5.0, "nothing", path), "a drive")
+    metres = np.linalg.norm(np.diff(path.place, axis=0), axis=1)
+    named = re.search(r"an assumed speed of ([0-9.]+) m/s", page)[1]
+    assert metres == pytest.approx(float(named))
+
+
+def test_the_colour_is_the_angle_by_a_disturbance_across_the_field():
+    raw = np.array([CLEAN, CLEAN + np.array([0.0, 5e-6, 0.0]), CLEAN])
+    path = path_by(raw, np.ones(3))
     assert np.degrees(path.error) == pytest.approx([0.0, math.degrees(math.atan(0.2)), 0.0])
