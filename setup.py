@@ -79,7 +79,7 @@ TEST_TOOLS = [
 setup(
     name=NAME,
     version="0.1.0",
-    description="A compass a ground robot can trust, calibrated by one turn",
+    description="Calibrates the magnetometer of a ground robot from one turn",
     long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     url=HOME,

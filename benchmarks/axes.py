@@ -1,9 +1,9 @@
 """Whether the axes are found: `python benchmarks/axes.py [--runs N] [--good N] [--seed S]`.
 
 Each run puts a magnetometer with one of the 48 signed permutations of its axes on a robot, up to 8°
-off, with a hard iron of up to the field's strength and a cheap sensor's noise and gyro bias. It
-turns on the level, wobbles while it turns, or turns and lifts its nose by 20°. Then good sensors
-are put to the test: none of their turns may be called wrong.
+off. Hard iron is up to the field's strength; noise and gyro bias are those of a cheap sensor. The
+robot turns on the level, wobbles while it turns, or turns and lifts its nose by 20°. Then good
+sensors are tested: none of their turns may be called wrong.
 """
 
 from __future__ import annotations

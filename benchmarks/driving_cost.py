@@ -1,6 +1,6 @@
 """What speed, fixes and self-calibration cost: `python benchmarks/driving_cost.py [s] [Hz]`.
 
-Four nodes hear one simulated drive through a city at the same time: two with odometry and fixes
+Four nodes receive one simulated drive through a city at the same time: two with odometry and fixes
 that keep their calibration by driving, two without, which only watch whether it holds. Processes of
 the same kind differ by a tenth and more, the same all along, so that one pair says little: run it
 again for other processes.

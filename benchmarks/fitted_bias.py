@@ -1,8 +1,8 @@
 """Headings with the gyro's bias by the fit: `python benchmarks/fitted_bias.py [--changed NAME]`.
 
 Each row is a recording that is calibrated as the node takes it, without a rest before. It prints
-the length of the gyro's bias by the fit (°/s), and the RMS of the heading against the truth after
-the calibration (degrees, one constant taken off), by the up of the node without this bias and with
+the length of the gyro's bias by the fit (°/s). It then prints the RMS of the heading error after
+the calibration (degrees, one constant subtracted), with the node's up without this bias and with
 it. `--changed "gyro off"` adds 2, -1.5 and 1 °/s to the gyro.
 """
 

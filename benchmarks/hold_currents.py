@@ -1,12 +1,12 @@
 """Turns of robots that report their current: `python benchmarks/hold_currents.py [--runs N]`.
 
-The motors add a field of so many microtesla at their largest current while the robot turns, in
-one of these shapes: "hold" follows the current, also that by which the robot holds itself while it
-stands (0 to 3 A, another one at each stand); "turn rate" follows the current of a robot that draws
-none for its motors while it stands; "step, hold" is there while the robot moves, whatever its
-current; "none" is none. The current comes at 8 Hz (`--gap`), a tenth of a second late, as that of a
-moment or as the mean since the message before (`--means`). The robot turns evenly ("even"), stands
-on the way for 1.7 s each time ("stops") or for 3 s ("rests").
+The motors add a field of so many microtesla at their largest current while the robot turns, in one
+of these shapes. "hold" follows the current, also that by which the robot holds itself while it
+stands (0 to 3 A, another one at each stand). "turn rate" follows the current of a robot that draws
+none for its motors while it stands. "step, hold" is present while the robot moves, whatever its
+current. "none" is no field. The current comes at 8 Hz (`--gap`), a tenth of a second late, as that
+of a moment or as the mean since the message before (`--means`). The robot turns evenly ("even"),
+stands on the way for 1.7 s each time ("stops") or for 3 s ("rests").
 
 Each turn is calibrated without its battery ("no battery") and with it. The heading is that of the
 robot with its motors off. "turn" takes the calibration as it is; "turn and node" subtracts the

@@ -2,8 +2,8 @@
 
 Random turns, good and bad, are fitted and judged. What counts is a *miss*: a calibration accepted
 without a warning whose heading on the level is wrong by more than five times what it predicts, or
-by more than three degrees. Hidden cases are those that nothing in the samples can betray, such as
-a mirrored magnetometer where there is no gyro; their misses are shown, but apart.
+by more than three degrees. Hidden cases are those that the samples cannot show, such as a
+mirrored magnetometer where there is no gyro; their misses are shown, but separately.
 """
 
 from __future__ import annotations

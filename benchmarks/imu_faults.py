@@ -1,13 +1,13 @@
 """Whether faults are found and named: `python benchmarks/imu_faults.py [--runs N] [--good N]`.
 
-Each run puts one fault, or two at once, on the sensors of a realistic robot: cheap ones, at their
-own rates, with jitter, vibration, a lever arm, a sloping floor, hard and soft iron, and a
-magnetometer whose installation is up to 8° off. In "turn" the robot turns once; in "lift" the nose
-is lifted meanwhile; in "half minute" it stands, turns left once, and the nose is lifted, as `magcal
-doctor` asks for; in "quarter" it turns by 90°. A fault is found if its own line of the page names
-it. Lines about sensors without a fault are "blamed". If the movement does not show which of two
-sensors is wrong and the page asks, this counts as found, and in "either". The page of a good robot
-must name nothing.
+Each run puts one fault, or two at once, on the sensors of a realistic robot. The sensors are cheap
+ones at their own rates, with jitter, vibration, a lever arm, hard and soft iron, and an
+installation of the magnetometer that is up to 8° off. The floor slopes. In "turn" the robot turns
+once; in "lift" the nose is lifted meanwhile; in "half minute" it stands, turns left once, and the
+nose is lifted, as `magcal doctor` asks for; in "quarter" it turns by 90°. A fault is found if its
+own line of the page names it. Lines about sensors without a fault are "blamed". If the movement
+does not show which of two sensors is wrong and the page asks, this counts as found, and in
+"either". The page of a good robot must name nothing.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ on the level, its sigma, and NEES; then the results for wrong headings.
 
 With `--outages N`: N drives through a city (those of `driving.py`) with two antennas for four
 minutes, which calibrate the compass; then they are silent. Printed are the errors of the fused yaw
-after 60, 300 and 600 s, what it says of them, and those of the gyro alone: with the bias that the
-antennas had shown, and with that which each rest shows.
+after 60, 300 and 600 s and their sigmas. Those of the gyro alone are printed with the bias that
+the antennas have shown, and with the bias that each rest shows.
 """
 
 from __future__ import annotations

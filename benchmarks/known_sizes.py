@@ -67,7 +67,7 @@ def main() -> None:
     numbers = range(arguments.first, arguments.first + arguments.robots)
     print(f"{'radius':>6}  {'sizes':9} {'rms':>5} {'sigma':>6} {'NEES':>5} {'worst':>6}")
     for radius in (0.5, 1.0, 4.0):
-        for name, priors in (("estimated", priors_of), ("told", priors_given)):
+        for name, priors in (("estimated", priors_of), ("given", priors_given)):
             errors, sigmas = [], []
             for number in numbers:
                 scene, knowledge = small_circle(radius)(number)

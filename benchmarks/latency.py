@@ -1,7 +1,7 @@
 """Time from a field message to the attitude made of it, as ratios to a bare rclpy relay.
 
 One robot publishes to the relay and to the calibrator in turns, so neither is in the other's way.
-Then both hear every message at once while the calibrator is asked for a calibration, with its
+Then both receive every message at once while the calibrator is asked for a calibration, with its
 previews and its fit. Run it as `python benchmarks/latency.py [seconds per row]`.
 """
 

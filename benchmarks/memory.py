@@ -1,8 +1,8 @@
 """Memory of the calibrated node over many messages, and of a collection that does not end.
 
-The node hears IMU and field at 2000 Hz each, with a listener on its outputs, until it has taken
-the messages asked for; what it needs after the first tenth is compared with what it needs at the
-end. Run it as `python benchmarks/memory.py [messages]`.
+The node receives IMU and field at 2000 Hz each, with a listener on its outputs, until it has
+received the given number of messages. Its memory after the first tenth is compared with that at
+the end. Run it as `python benchmarks/memory.py [messages]`.
 """
 
 from __future__ import annotations

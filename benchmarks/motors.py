@@ -4,16 +4,17 @@ Each robot calibrates with one turn, in which it stops three times on the way (`
 before and after it). Then it drives for five minutes: it stands, drives, bends and turns on the
 spot. Its motors add a field of so many microtesla, at their largest, in one of these shapes: a step
 with motion, in proportion to speed, to turn rate, to a current with a ripple of a fifth, and a step
-that changes side with the direction of turn. "current, holds" is the current of a robot that also
+whose sign changes with the direction of turn.
+"current, holds" is the current of a robot that also
 holds itself by its motors while it stands, by 0 to 3 A. The current comes at 8 Hz, a tenth of a
 second late.
-"turn" takes the motors as the turn showed them, "drive" goes on learning them; "none" takes off
-nothing.
+"turn" subtracts the field that the turn has shown, "drive" also what is learnt while driving, and
+"none" nothing.
 
-For rest and motion each row shows the RMS of the heading error (degrees), NEES (its square over
-the published variance, capped at a hundred), and the share of messages whose error is silent: more
-than five degrees, and more than three published sigmas. The first minute of a drive is evaluated by
-itself. The seeds are `--first` and those after it.
+For rest and motion each row shows the RMS of the heading error (degrees), and NEES (its square over
+the published variance, capped at a hundred). It also shows the share of messages with a silent
+error: more than five degrees, and more than three published sigmas. The first minute of a drive is
+evaluated by itself. The seeds are `--first` and those after it.
 """
 
 from __future__ import annotations

@@ -1,22 +1,23 @@
 """Turns with real sensor errors: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
 
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
-without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
-median sigma, NEES of the heading, and the share beyond three sigmas. Sensors are evaluated as they
-are used: an accelerometer with an offset has it afterwards, too; motors are switched off.
-Some effects have a course of their own: a rest before and after the turn, stops on the way, an
-uneven speed. Such turns go through a session, as those of a robot do. The third line is the RMS
-with the gyro over that without, of the turns that are answered either way: more should never hurt.
+without. A row shows how many turns are refused and warned of, the heading's RMS error on the level
+(degrees), the median sigma, NEES of the heading, and the share beyond three sigmas. Sensors are
+evaluated as they are used: an accelerometer with an offset has it afterwards, too; motors are
+switched off. Some effects have a course of their own: a rest before and after the turn, stops on
+the way, an uneven speed. Such turns go through a session, as those of a robot do. The third line is
+the RMS with the gyro over that without, of the turns that are answered either way: it should not be
+above one.
 
 With `--turns` each row is a kind of turn instead (`cases/turn_kinds.py`; a fifth has no reference
 field), with perfect, good, typical and cheap sensors; what was warned of and refused is counted.
-With `--rested` the rows are courses that begin and end at rest, as a robot's own turns do.
-With `--arcs` they are arcs of 40 to 90° (from `--least` degrees on), as of a turn that is finished
-by hand, with rests before and after or without, of good, typical and cheap sensors.
-With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
-field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
-degree. Below the kinds of turns of one set of sensors is a row of all of them; `--first` is the
-seed of the first turn of each row.
+With `--rested` the rows are courses that begin and end at rest, as a robot's own turns do. With
+`--arcs` they are arcs of 40 to 90° (from `--least` degrees on), as of a turn that is finished by
+hand, with rests before and after or without, of good, typical and cheap sensors. With `--place` the
+robot stands near iron or indoors instead of in the open, and is judged by the field of the open: a
+turn also contains the field of its place. *Wrong* is beyond five sigmas and one degree. Below the
+kinds of turns of one set of sensors is a row of all of them; `--first` is the seed of the first
+turn of each row.
 """
 
 from __future__ import annotations

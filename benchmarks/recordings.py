@@ -1,13 +1,13 @@
 """Calibrations of real recordings: `python benchmarks/recordings.py [FOLDER...] [--only NAME]`.
 
-Each row is a window of a recording: the verdict, the heading sigma, the heading's RMS and
-median against the truth, what five usual methods reach with the same samples and the same up, and
-what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
-the best of the five, chosen afterwards, and "to truth" over that of the twelve numbers that fit
-best where the truth is known: streets limit every calibration. "Told" is to the best
-of five what fits the same samples best if their true yaw is given: no calibration of a window knows
-as much. Headings are scored on the whole recording. With `--changed` other sensors have recorded
-the same drive (`changed_recordings.py`; `all` of them).
+Each row is a window of a recording: the verdict, the heading sigma, and the heading's RMS and
+median against the truth, in degrees. Then come the errors of five usual methods with the same
+samples and the same up, and of the gyro alone (a linear drift subtracted). "to best" is our RMS
+over that of the best of the five, chosen afterwards. "to truth" is our RMS over that of the twelve
+numbers that fit best where the truth is known: streets limit every calibration. "told" is the ratio
+to the best of five of the fit to the same samples with their true yaw: no calibration of a window
+has this information. Headings are scored on the whole recording. With `--changed` other sensors
+have recorded the same drive (`changed_recordings.py`; `all` of them).
 """
 
 from __future__ import annotations
@@ -233,10 +233,10 @@ def summary(lines: list[Line]) -> str:
         square, most = mean_of([value**2 for value in beyond]), max(beyond, default=math.nan)
         text.append(
             f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
-            f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio"
+            f" warning), {good} of them within {AS_GOOD} of the best peer. Mean ratio"
             f" {to_best:.2f} ({reported:.2f} if the samples' true yaw were given; to what the whole"
-            f" truth shows {to_truth:.2f}), error of cars beyond the gyro's {most:.1f} sigma at"
-            f" most, its square {square:.2f} on the mean, wrong {wrong}"
+            f" truth shows {to_truth:.2f}). Error of cars beyond the gyro's {most:.1f} sigma at"
+            f" most, its square {square:.2f} on the mean. Wrong {wrong}"
         )
     return "\n".join(text)
 

@@ -1,10 +1,10 @@
 """Two methods on the same turns: `python benchmarks/side_by_side.py [--runs N] [--first K]`.
 
-Each row is a kind of turn. For the default, the smoother, and for the design tip of ST it prints
-the RMS of the heading error on the level (degrees), the median of the predicted sigma, NEES
-(the mean squared error over the predicted variance, which should be one), the share of answers
-within one and two sigmas, the largest error in sigmas, how many turns were refused, and the CPU
-time of a turn. The seeds are `--first` and those after it.
+Each row is a kind of turn, for the default (the smoother) and for the design tip of ST. It shows
+the RMS of the heading error on the level (degrees), the median of the predicted sigma, and NEES
+(the mean squared error over the predicted variance, which should be one). Then come the share of
+answers within one and two sigmas, the largest error in sigmas, how many turns were refused, and the
+CPU time of a turn. The seeds are `--first` and those after it.
 Seeds from 1000 on were used while the smoother was tuned; 0 to 11 were looked at once meanwhile.
 """
 

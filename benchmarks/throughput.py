@@ -1,8 +1,8 @@
 """CPU per message of the calibrated node, as a ratio to a bare rclpy relay of the same topics.
 
-Both processes hear the same publisher at the same time; each has one listener on every output.
-Run it as `python benchmarks/throughput.py [seconds per row]`: first without a listener on the
-fused yaw, which comes at the IMU's rate, then with one.
+Both processes receive from the same publisher at the same time; each has one listener on every
+output. Run it as `python benchmarks/throughput.py [seconds per row]`: first without a listener on
+the fused yaw, which comes at the IMU's rate, then with one.
 """
 
 from __future__ import annotations

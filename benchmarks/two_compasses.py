@@ -1,10 +1,10 @@
 """One heading from two magnetometers while one of them fails: `python benchmarks/two_compasses.py`.
 
 A number as argument is how many drives each row is over (10 unless given), a second one the first
-seed. A robot drives through streets at walking pace with two magnetometers, each with a calibration
-of its own that is wrong by as much as its covariance says; after a minute something happens to the
-first, the better one. Failover is the time until the failed one takes no part, or (dead) until
-headings come again; the step is the change of the published heading beyond the robot's own turning
+seed. A robot drives through streets at walking pace with two magnetometers. Each has a calibration
+of its own that is wrong by as much as its covariance says. After a minute something happens to the
+first, the better one. Failover is the time until the failed one is left out, or (dead) until
+headings come again. The step is the change of the published heading beyond the robot's own turning
 in the two seconds after it, in sigmas. "Better alone" is the fused yaw of whichever magnetometer
 does better alone. NEES is the squared error over the variance.
 

@@ -1,3 +1,3 @@
-"""A compass a ground robot can trust, calibrated by one turn."""
+"""Calibrates the magnetometer of a ground robot from one turn."""
 
 __version__ = "0.1.0"

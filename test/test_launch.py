@@ -213,7 +213,7 @@ def test_the_filters_take_each_quantity_from_its_source():
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_a_sample_for_a_sensor_sets_existing_parameters_and_names_known_faults(path):
     assert set(parameters_in(path)["/**"]) <= set(OURS)
-    assert "# Habits\n# - " in path.read_text()
+    assert "# Notes\n# - " in path.read_text()
 
 
 def test_launch_files_and_samples_are_installed():

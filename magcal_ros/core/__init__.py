@@ -1,4 +1,4 @@
-"""Calibration and heading without ROS: pure numpy, and what a user of the package imports.
+"""Calibration and heading without ROS, by numpy and scipy alone: what users of Python import.
 
 Names are loaded when they are asked for, so that a node starts without a method's libraries.
 """

@@ -1,1 +1,1 @@
-"""The node: rclpy lives only here."""
+"""The node; only this part of the package imports rclpy."""

@@ -32,7 +32,7 @@ from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import BackgroundThread, SensorGroup
 from magcal_ros.ros.vehicle import Motors, Travel
 
-SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
+SILENT_AFTER = 2.0  # seconds without a message after which a sensor counts as silent
 
 DROP_WINDOW = 60
 """Seconds over which dropped samples are counted for the complaints, so that complaints are about

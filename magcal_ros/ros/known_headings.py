@@ -81,7 +81,7 @@ class HeadingTopic:
         if self.is_received and self._missed >= REPORTED_MISSES:
             words.append(
                 f"the heading differs from the fused yaw by {math.degrees(self._gap):.0f}°, far "
-                "more than both variances allow, and is not used; check which north it refers to "
+                "more than both variances allow, and is not used. Check which north it refers to "
                 "(known_heading.topic_north), that zero is east, and that the yaw of the antennas "
                 "in the vehicle is included. If the heading is right, the calibration is out of "
                 "date: call ~/reset"

@@ -210,9 +210,9 @@ PARAMETERS: tuple[ParameterSpec, ...] = (
         "installation yaw included; false: each turn is used alone"
     ),
     ParameterSpec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
-        "What is done with a calibration from ordinary driving that is better on held-out data: "
-        "propose it (call ~/accept), apply it (and go back if it proves worse), or off: no search, "
-        "only the calibration in force is watched"
+        "What is done with a better calibration from ordinary driving: propose it (call ~/accept), "
+        "apply it (and go back if it proves worse), or off. With off there is no search, and only "
+        "the calibration in force is watched"
     ),
     ParameterSpec("reference.strength_ut", UNSET, NumberRange(15.0, 100.0, "µT")).means(
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
@@ -249,9 +249,9 @@ PARAMETERS: tuple[ParameterSpec, ...] = (
         "robot_description or the static transforms. Empty: the IMU's frame"
     ),
     ParameterSpec("vehicle_yaw_deg", UNSET, NumberRange(-360.0, 360.0, "°")).means(
-        "Yaw of the IMU in the vehicle, to the left of the vehicle's front, for base_frame and for "
-        "calibration by a circle or a drive; .nan for the yaw in the robot's description, "
-        "corrected by up to 15° by an estimate while driving"
+        "Yaw of the IMU in the vehicle, to the left of the vehicle's front. It is used for "
+        "base_frame and for calibration by a circle or a drive; .nan for the yaw in the robot's "
+        "description, corrected by up to 15° by an estimate while driving"
     ),
     ParameterSpec("mount_rpy_deg", (UNSET, UNSET, UNSET), NumberRange(-360.0, 360.0, "°")).means(
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "

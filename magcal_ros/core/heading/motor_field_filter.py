@@ -194,7 +194,7 @@ class MotorFieldFilter:
             by_residual = np.square(UNSEEN)[:, None, None] * inputs.square
             self._forget(PLACE, inputs.level)
             self._forget(RESIDUAL, inputs.level + by_residual)
-            # A prior that knows nothing is of use to one sample.
+            # A flat prior is of use to one sample.
             block = self._begin(inputs, rate, 0.0)
         else:
             # A robot at rest has a gyro's noise and no turn, unless its motors run undetected.

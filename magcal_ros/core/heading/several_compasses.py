@@ -156,7 +156,7 @@ class SeveralCompasses:
 
     @property
     def reference_compass(self) -> Compass | None:
-        """The first calibrated compass, whose terms the joined field is in."""
+        """The first calibrated compass; the joined field is like one that it measures."""
         return self._members[min(self._members)].compass if self._members else None
 
     @property
@@ -243,7 +243,7 @@ class SeveralCompasses:
         return [self._compass_yaw(number, seen, yaws, known) for number, seen in turned.items()]
 
     def _seen(self, member: _CompassState, reading: CompassReading, up: Triple) -> Triple | None:
-        """Return a member's field as if by the reference compass; None if it has none."""
+        """Return a magnetometer's field as if by the reference compass; None if it has none."""
         then, reference = member.reading, self.reference_compass
         if then is None or then.heading is None or reference is None:
             return None

@@ -43,7 +43,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class AssumedField:
-    """The reference field after the turn."""
+    """The reference field that the solution uses: as given, or with numbers from the turn."""
 
     strength: float  # tesla
     inclination: float  # radians

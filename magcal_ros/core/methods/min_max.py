@@ -27,9 +27,9 @@ class Options:
     """Choices of the min/max method."""
 
     robust: bool = False
-    """Whether to leave out samples that are not on a common sphere. Samples are sorted into cells
-    that count once each, because quantiles of all samples would depend on how long the sensor
-    rested in each orientation."""
+    """Whether to leave out samples that are not on a common ellipsoid along the axes. Samples are
+    sorted into cells that count once each, because quantiles of all samples would depend on how
+    long the sensor rested in each orientation."""
 
 
 def fit(

@@ -114,9 +114,9 @@ def slow_words(gap: float) -> str:
     if not gap > STREAMS.max_gap:
         return ""
     return (
-        f"the IMU comes at {1.0 / gap:.2g} Hz by its stamps, too slowly: the node does not bridge "
-        f"gaps of more than {STREAMS.max_gap:g} s; publish or record it at 10 Hz or more, if "
-        "possible at 50 Hz"
+        f"the IMU comes at {1.0 / gap:.2g} Hz by its stamps, too slowly: the node does not "
+        f"interpolate over gaps of more than {STREAMS.max_gap:g} s; publish or record it at 10 Hz "
+        "or more, if possible at 50 Hz"
     )
 
 
@@ -125,8 +125,8 @@ def slow_field_words(gap: float) -> str:
     if not gap > STREAMS.longest_field_gap:
         return ""
     return (
-        f"the field comes at {1.0 / gap:.2g} Hz, too slowly: the gyro bridges at most "
-        f"{STREAMS.longest_field_gap:g} s; a drive needs the field at "
+        f"the field comes at {1.0 / gap:.2g} Hz, too slowly: the gyro is integrated over "
+        f"at most {STREAMS.longest_field_gap:g} s; a drive needs the field at "
         f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, if possible at 10 Hz; `magcal fit` can "
         "use a slower recording"
     )

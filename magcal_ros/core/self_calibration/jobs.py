@@ -201,7 +201,7 @@ class DriveResult:
     """Of all twelve numbers, and of the hard iron since the last proved change."""
     since_change: DriveCandidate | None = None  # the hard iron since a suspected change
     ratios: Mapping[CandidateKind, LikelihoodRatio] = field(default_factory=dict)
-    """Of the contests, on the data that count."""
+    """Of the candidates in `DriveJob.contests`, on the data after their end."""
     refusal: str = ""  # why no fit of all twelve numbers was made; empty if one was made, or is due
 
 

@@ -323,7 +323,7 @@ class _GainPosterior:
         return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
 
     def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information of all priors, and the same times the mean."""
+        """Return the information matrix of all priors, and its product with the mean."""
         known = self.known
         free = np.diag(np.where(known, 0.0, scales**-2))
         information = np.where(np.outer(known, known), self.prior, 0.0) + free

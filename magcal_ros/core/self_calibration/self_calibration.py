@@ -72,7 +72,7 @@ class SelfCalibration:
         if self.recorder.rests:
             return "waiting for movement"
         sought = "a calibration" if self._in_force is None else "a better calibration"
-        return f"looking for {sought}, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
+        return f"looking for {sought}, {self.recorder.seconds / 60.0:.0f} min of driving stored"
 
     @property
     def _compared(self) -> Calibration | None:
@@ -213,7 +213,7 @@ class SelfCalibration:
         return [self._change(clock, best.calibration, words)]
 
     def _settled(self, findings: DriveResult) -> list[Decision]:
-        """Put a proved calibration in force, and end contests that last too long."""
+        """Put a proved calibration in force, and end comparisons that last too long."""
         made: list[Decision] = []
         since = findings.since_change
         if since is not None and IRON in self._contests:

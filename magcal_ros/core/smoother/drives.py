@@ -105,7 +105,7 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """Return the fit of all twelve numbers to a drive on wheels.
 
     The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` if the drive is too short,
-    `NO_SOLUTION` if no fit converges, `AXES_DISAGREE` if the gyro or the axes are wrong.
+    `NO_SOLUTION` if the fit fails, `AXES_DISAGREE` if the gyro or the axes are wrong.
     """
     check_length(nodes)
     priors = priors_of(knowledge, log.bias_sigma).with_dead_axes(nodes.working)

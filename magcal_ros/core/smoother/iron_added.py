@@ -1,9 +1,9 @@
 """A change of hard iron during a drive: its time and its size.
 
 A calibration is held. The hypothesis of no change, beyond the calibration's own uncertainty, is
-compared with hard iron added at one moment. The gyro carries the heading past this moment, so that
-a jump of the compass is evidence. If the robot moves at that moment, a local disturbance on its
-path is a third hypothesis; only the next turn can separate it from added iron.
+compared with hard iron added at one moment. The gyro propagates the heading past this moment, so
+that a jump of the compass is evidence. If the robot moves at that moment, a local disturbance on
+its path is a third hypothesis; only the next turn can separate it from added iron.
 """
 
 from __future__ import annotations

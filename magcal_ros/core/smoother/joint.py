@@ -39,7 +39,7 @@ _ROWS = {name: np.arange(at.start, at.stop) for name, at in AT.items()}
 OF_A_MOMENT = ("gyro_bias", "bias_walk", "drift", "gradient", "place")
 """Groups of shared unknowns that are separate for each window."""
 OF_A_TURN = ("gyro_matrix", "lever_arm", "sway_arm", "axis", "upright")
-"""Further such groups if axes of the gyro are silent: the turn's axis and circle."""
+"""Further such groups if axes of the gyro are dead: the turn's axis and circle."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ class _MotionFits:
 
     @property
     def gyro_is_whole(self) -> bool:
-        """Whether no axis of the gyro is silent."""
+        """Whether no axis of the gyro is dead."""
         return all(self.nodes.working)
 
     def _begin(self, spacing: Spacing) -> None:
@@ -126,7 +126,7 @@ class _MotionFits:
         spot = self.fits.get(ON_THE_SPOT)
         if spot is None or not gyro_is_usual(spot):
             return None
-        # With silent axes, only a rest shows that a constant force is no centripetal acceleration.
+        # With dead axes, only a rest shows that a constant force is no centripetal acceleration.
         return spot if self.gyro_is_whole or spot.point.course.still.any() else None
 
     def add(
@@ -308,7 +308,7 @@ def smooth(
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
     The window has a gyro. `progress` is called with the fraction of the work that is done. Raises
-    `Refusal` if no fit converges.
+    `Refusal` if no fit is possible.
     """
     trials = _MotionFits(window, knowledge, progress)
     if (spot := trials.on_the_spot()) is not None:
@@ -351,7 +351,7 @@ def may_drive(spot: Fit) -> bool:
 
 
 def gyro_is_usual(fit: Fit) -> bool:
-    """Return whether the estimated noise of the gyro is plausible, and its axes are not silent."""
+    """Return whether the estimated noise of the gyro is plausible, and its axes are not dead."""
     prior = fit.model.priors.sizes
     return all(
         fit.point.sizes[name] < NEAR_LIMIT * SIZES[name].most

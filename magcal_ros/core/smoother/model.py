@@ -248,7 +248,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
     force, gyro, unseen = motion.force(course, state), motion.gyro(course, state), nodes.unseen
     used = {"gyro": LEVEL_AXES, "gyro_up": UP_AXIS}
     if "lean" in model.priors.sizes:
-        del used["gyro"]  # If a level axis is silent, neither is used.
+        del used["gyro"]  # If a level axis is dead, neither is used.
         found["lean"] = _lean(model, point, np.eye(3))
     for name, axes in used.items():
         found[name] = measured(name, gyro.part(axes), seconds, unseen[:, axes].mean(axis=1))

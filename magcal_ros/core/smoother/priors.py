@@ -128,7 +128,7 @@ class Priors:
         )
 
     def with_dead_axes(self, living: tuple[bool, bool, bool]) -> Priors:
-        """Return the priors of a window in which axes of the gyro are silent.
+        """Return the priors of a window in which axes of the gyro are dead.
 
         The robot turns about an axis that is fixed in the body, and tilts off it. Without a limit
         of the tilt, the centripetal acceleration of a circle would count as tilt.

@@ -136,7 +136,7 @@ def _linear(
     node_weight: FloatArray,
     upward: float,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return c, h, k and l by iteratively reweighted least squares, the yaw's drift, the residual.
+    """Return c, h, k and l, fitted by reweighted least squares, the yaw's drift, and the residual.
 
     The level part of c has a separate direction in each `piece` (n,); that of the first piece is
     returned. `node_weight` (n,) is lower where the current is uncertain. The drift of the yaw (n,)

@@ -100,7 +100,7 @@ def _smooth(time: FloatArray, values: FloatArray, seconds: float) -> FloatArray:
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     """Fit a turn without a gyro, from every geometric solution for axis, circle and dip.
 
-    Raises `Refusal` if no fit converges.
+    Raises `Refusal` if no fit is possible.
     """
     nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)

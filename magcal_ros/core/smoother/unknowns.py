@@ -20,10 +20,10 @@ WAVES = 6  # sine waves that represent the random walk of the gyro's bias over a
 
 ACCELERATION, VELOCITY, ATTITUDE = slice(0, 2), slice(2, 4), slice(4, 7)
 STREET, BODY_FIELD = slice(7, 10), slice(10, 13)
-"""Unknowns of a node: correlated change of the velocity (m/s², level axes of the body); velocity
-(m/s, the same axes); attitude increment (rad, body axes); local disturbance of the Earth's field
-(µT, world axes); coloured noise of the body's field (µT). The unknowns of one measurement are
-neighbours."""
+"""Unknowns of a node. Of its motion: correlated change of the velocity (m/s², level axes of the
+body); velocity (m/s, the same axes); attitude increment (rad, body axes). Of the field: local
+disturbance of the Earth's field (µT, world axes); coloured noise of the body's field (µT). The
+unknowns of one measurement are neighbours."""
 LOCAL = 13
 HEADING_DRIFT, HEADING_RATE = slice(2, 3), slice(3, 4)
 """At known headings, in place of the velocity: the drift of a device's heading, degrees, and its
@@ -264,7 +264,7 @@ SWAY: Mapping[str, Size] = {
         0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
     ),
 }
-"""With silent axes of the gyro, the tilt off the turn's axis; the others without a gyro."""
+"""With dead axes of the gyro, the tilt off the turn's axis; the others without a gyro."""
 
 DISTURBANCE_AT_REST = Size(
     0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"

@@ -269,7 +269,7 @@ class GyroPropagation:
         has_turned = self.field.has_turned(about)
         if has_turned is None:
             return about
-        # A constant rate that has been identified as bias remains so during the spell.
+        # A constant rate that has been identified as bias remains so during the interval.
         self._is_still = not has_turned
         return 0.0 if self._is_still else None
 

@@ -31,7 +31,7 @@ from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:
-    """Compares the present field with that at the beginning of a spell.
+    """Compares the present field with that at the beginning of an interval.
 
     `mean` is the present field, averaged over some tenths of a second.
     """
@@ -43,7 +43,7 @@ class FieldStillness:
         self.begin()
 
     def begin(self) -> None:
-        """Start a new spell with the next field sample."""
+        """Start a new interval with the next field sample."""
         self._first, self._first_count, self._since = ZERO, 0, math.inf
 
     def add(self, stamp: float, field: Triple) -> None:
@@ -99,7 +99,7 @@ class BlockMeans(NamedTuple):
 
 
 class SteadyInterval:
-    """Detects a spell of blocks in which force and rate are constant.
+    """Detects an interval of blocks in which force and rate are constant.
 
     `sway` and `shake` are the variances per axis of the rates, (rad/s)², and forces, g².
     """
@@ -110,7 +110,7 @@ class SteadyInterval:
         self.force = self.rate = ZERO
 
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
-        """Add a block; return whether it continues the spell.
+        """Add a block; return whether it continues the interval.
 
         `noise` and `rate_noise` are the sigmas of one message per axis, g and rad/s.
         """
