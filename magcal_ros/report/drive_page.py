@@ -34,11 +34,12 @@ TALLEST = "75vh"  # height of the map, so that map and legend fit on a screen
 RULES = (
     "A calibration that is estimated while driving is first put on probation: only samples from "
     "later driving can prove that it is better than the one in force. If no calibration is in "
-    "force, a second calibration that agrees is enough. If the one in force has a heading error "
-    "above 3°, a much more accurate calibration that agrees with it is enough. A calibration that "
-    "was put in force is still compared with the previous one. Headings are counted in twelve "
-    "sectors of 30°. ± is one standard deviation of the heading by the calibration alone; along "
-    "the drive, local magnetic disturbances such as streets and cars add to it."
+    "force, a second calibration that agrees is enough. A much more certain calibration that "
+    "agrees with the one in force replaces it at once, as does hard iron that the samples since "
+    "its change prove. A calibration that was put in force is still compared with the previous "
+    "one. Headings are counted in twelve sectors of 30°. ± is one standard deviation of the "
+    "heading by the calibration alone; along the drive, local magnetic disturbances such as "
+    "streets and cars add to it."
 )
 VERBS = {
     DecisionKind.NOTICED: "noticed",

@@ -248,7 +248,7 @@ class Watch:
         if not self.was_judged:
             return f"Not judged yet: {self.missing}."
         if self.missing:
-            return f"The calibration held when it was last judged; now {self.missing}."
+            return f"The calibration held when it was last judged. Since then: {self.missing}."
         return "The calibration holds on the headings of the last minutes."
 
 

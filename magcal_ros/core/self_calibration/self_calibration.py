@@ -339,7 +339,7 @@ def _changes(made: list[Decision]) -> bool:
 def _ended(clock: float, candidate: DriveCandidate, seconds: float) -> Decision:
     """Return the decision that a candidate was not proved better."""
     if candidate.kind is EARLIER:
-        words = f"{seconds:.0f} s of road show that no earlier calibration was better"
+        words = f"{seconds:.0f} s of driving show that no earlier calibration was better"
         return Decision(clock, DecisionKind.CONFIRMED, words)
-    words = f"{candidate.in_words}: not proved better on the road since"
+    words = f"{candidate.in_words}: the driving since then has not proved it better"
     return Decision(clock, DecisionKind.DROPPED, words)

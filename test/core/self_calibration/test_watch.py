@@ -71,7 +71,9 @@ def test_a_right_calibration_holds():
     state = watched(candidate(RIGHT, 120.0))
     assert state.summary == "The calibration holds on the headings of the last minutes."
     later = state.after(findings(180.0), calibration())
-    assert later.summary.startswith("The calibration held when it was last judged; now there was")
+    assert later.summary.startswith(
+        "The calibration held when it was last judged. Since then: there was"
+    )
 
 
 def test_a_difference_must_be_proved_by_the_data():
