@@ -182,7 +182,7 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "reference field",
         "Values given here have priority; the others are from the World Magnetic Model at the "
-        "given place, else at the first fix in a bag.",
+        "given position, else at the first fix in a bag.",
     )
     specs = {spec.name: spec for spec in PARAMETERS}
 

@@ -116,7 +116,7 @@ def test_given_numbers_and_a_given_place_have_priority(receive):
     assert "48.14°N 11.58°E" in reference["source"]
     assert not reference["complaints"]
     receiver.say(NEW_YORK)
-    reference = receiver.reference(complains("from the given place 48.14°N 11.58°E"))
+    reference = receiver.reference(complains("from the given position 48.14°N 11.58°E"))
     assert "gps/fix says 40.70°N 74.00°W" in reference["complaints"][0]
     assert "48.14°N 11.58°E" in reference["source"]
     node.set_parameters([Parameter("reference.declination_deg", value=math.nan)])

@@ -35,7 +35,7 @@ from magcal_ros.core.samples.window import SensorLog
 
 NOSE = "lift the nose by 20° while the robot turns"
 LIFT = f"{NOSE}, or drive over a kerb"
-GIVE_DIP = ", and give the place or the field's inclination"
+GIVE_DIP = ", and give the position or the field's inclination"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 WRONG_SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
@@ -174,8 +174,8 @@ class PossibleAxes:
         is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
         if is_opposite and not self.dip_known:
             return (
-                "give the place or the field's inclination: only this shows whether all axes are "
-                "reversed"
+                "give the position or the field's inclination: only this shows whether all axes "
+                "are reversed"
             )
         dip = "" if self.dip_known else GIVE_DIP
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)

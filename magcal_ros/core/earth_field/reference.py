@@ -39,7 +39,7 @@ class PositionTuning:
     """Metres after which the field is computed again: it changes by 0.1° or 0.1 µT at most."""
     confirmed: int = 3  # consecutive fixes that must agree on a new place: one may be an outlier
     far: float = 50_000.0
-    """Metres from the given place, or from the first fix, beyond which a warning is given."""
+    """Metres from the given position, or from the first fix, beyond which a warning is given."""
 
 
 TUNING = PositionTuning()
@@ -127,7 +127,7 @@ class Fixes:
                 f"{place.words}: the reference field was computed again"
             ]
         return [
-            f"gps/fix says {place.words}, {away / 1000.0:.0f} km from the given place "
+            f"gps/fix says {place.words}, {away / 1000.0:.0f} km from the given position "
             f"{given.words}, which is used: correct reference.latitude_deg and "
             "reference.longitude_deg, or leave them out"
         ]

@@ -100,7 +100,7 @@ def _missing_declination(gap: float, sigma: float) -> str:
     return (
         f"by course the declination is about {math.degrees(gap):+.0f}° "
         f"(± {math.degrees(sigma):.0f}°), if magnetometer and IMU are parallel: give "
-        "reference.declination_deg, or the place"
+        "reference.declination_deg, or the position"
     )
 
 

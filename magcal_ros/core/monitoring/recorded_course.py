@@ -91,7 +91,7 @@ def _yaws(
 def _north(offset: float, declination: float | None) -> str:
     """Say which part of an offset against true north is declination."""
     if declination is None:
-        return "this includes the declination, which is not known: give the place"
+        return "this includes the declination, which is not known: give the position"
     rest = math.degrees(math.remainder(offset - declination, math.tau))
     return (
         f"{math.degrees(declination):+.1f}° of it is declination, {rest:+.1f}° is the mounting of "

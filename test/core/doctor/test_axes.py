@@ -120,7 +120,7 @@ def test_without_the_inclination_axes_and_their_opposites_are_named():
     assert len(found.candidates) == 2
     assert named(found, MIRRORED_Z)
     assert named(found, -MIRRORED_Z)
-    assert "give the place or the field's inclination" in found.words
+    assert "give the position or the field's inclination" in found.words
 
 
 def test_candidates_after_a_level_turn_are_named_with_the_distinguishing_movement():

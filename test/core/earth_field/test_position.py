@@ -90,7 +90,7 @@ def test_a_fix_far_from_the_given_place_is_reported():
     fixes.add(fix())
     assert fixes.complaints(Place(HOME[0] + 0.9 * TUNING.far / DEGREE, HOME[1])) == []
     (complaint,) = fixes.complaints(Place(52.5, 13.4))
-    assert "km from the given place 52.50°N 13.40°E, which is used" in complaint
+    assert "km from the given position 52.50°N 13.40°E, which is used" in complaint
 
 
 def test_a_place_far_from_the_first_is_reported():

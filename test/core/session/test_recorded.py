@@ -146,7 +146,7 @@ class TestRefusals:
             )
             return fit_collected(gathered(swapped), knowledge).verdict.summary
 
-        asked = "give the place or the field's inclination"
+        asked = "give the position or the field's inclination"
         assert asked in stated(Knowledge())
         assert asked not in stated(knowledge_of(48.0, inclination_deg=65.0))
 
