@@ -2,10 +2,9 @@
 
 Each robot calibrates with one turn, in which it stops three times on the way (`--turn even`: only
 before and after it). Then it drives for five minutes: it stands, drives, bends and turns on the
-spot. Its motors add a field of so many microtesla, at their largest, in one of these shapes: a step
-with motion, in proportion to speed, to turn rate, to a current with a ripple of a fifth, and a step
-whose sign changes with the direction of turn.
-"current, holds" is the current of a robot that also
+spot. Its motors add a field of so many microtesla at their largest. Its shape is a step with
+motion, in proportion to speed, to turn rate, or to a current with a ripple of a fifth, or a step
+whose sign changes with the direction of turn. "current, holds" is the current of a robot that also
 holds itself by its motors while it stands, by 0 to 3 A. The current comes at 8 Hz, a tenth of a
 second late.
 "turn" subtracts the field that the turn has shown, "drive" also what is learnt while driving, and

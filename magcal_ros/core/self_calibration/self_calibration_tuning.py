@@ -24,8 +24,8 @@ class SelfCalibrationTuning:
     notice: float = 2.0  # log odds from which a change of hard iron is reported
     proof: float = 11.0
     """Log likelihood ratio, with a local disturbance allowed, from which another calibration is
-    put in force, or the one in force no longer holds: eight for the prior odds against a change,
-    and one for each of three fitted numbers of hard iron."""
+    put in force, or the one in force no longer holds. Eight are for the prior odds against a
+    change, and one for each of three fitted numbers of hard iron."""
     largest_sigma: float = math.radians(3.0)  # of a candidate, radians
     plainly: float = 4.0
     """Sigmas by which a changed hard iron must differ to be reported. If it is also proved, it is
