@@ -130,6 +130,8 @@ def _monotonic(stamps: FloatArray) -> FloatArray:
     Where the clock was set back for good, later stamps are shifted. Streams with stamps of the same
     clock thus keep their common order.
     """
+    if not len(stamps):
+        return stamps
     moments, newest, shift = stamps.copy(), -math.inf, 0.0
     edges = [0, *(np.flatnonzero(np.diff(stamps) < 0.0) + 1).tolist(), len(stamps)]
     for first, end in pairwise(edges):

@@ -122,3 +122,8 @@ def test_without_gyro_columns_there_is_no_gyro(tmp_path):
     recording = read_csv_folder(tmp_path)
     assert recording.imu[0, :4].tolist() == [1.0, 0.1, 0.2, 9.8]
     assert np.isnan(recording.imu[0, 4:]).all()
+
+
+def test_a_span_without_samples_is_empty(folder):
+    with open_recording(folder, start=100.0) as source:
+        assert list(source.readings()) == []
