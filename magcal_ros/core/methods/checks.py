@@ -64,7 +64,14 @@ def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _refuse_nonsense(window: Window) -> None:
-    """Refuse numbers so large that their fourth powers overflow."""
+    """Refuse numbers so large that their fourth powers overflow, and stamps that are no times."""
+    longest = float(np.diff(window.time).max(initial=0.0))
+    if longest > STREAMS.longest_pause:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
+            "that is not set in between.",
+        )
     rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
     readings = (window.field, window.specific_force, rate)
     for (sensor, limit), values in zip(NO_UNIT_EXPLAINS.items(), readings, strict=True):

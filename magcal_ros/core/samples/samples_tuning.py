@@ -17,6 +17,9 @@ class StreamTuning:
     """Longest gap between two samples over which the gyro is integrated, seconds."""
     longest_field_gap: float = 0.6
     """The same for the field of a drive, seconds; gaps at 2 Hz are often longer than 0.5 s."""
+    longest_pause: float = 3600.0
+    """Seconds, the longest turn (`window.timeout_s`). A longer gap between two stamps is no pause
+    of the robot: a clock was set."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3

@@ -309,8 +309,11 @@ def gravity_in_body(time: FloatArray, force: FloatArray, rate: FloatArray | None
     if rate is None or len(time) < 2:
         return force
     attitude = chained(exp_rotations(-trapezoids(time, rate))[None])[0]
-    count = max(1, round(float(time[-1] - time[0]) / MEAN_OVER))
-    first = np.unique(np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[:-1]))
+    span = float(time[-1] - time[0])
+    count = max(1, round(span / MEAN_OVER))
+    # Not an array of all blocks: after a jump of the clock nearly all of them are empty.
+    block = np.floor((time - time[0]) * (count / max(span, 1e-9)))
+    first = np.unique(np.minimum(block, count - 1.0), return_index=True)[1]
     means = block_means(np.einsum("nij,ni->nj", attitude, force), first)
     mean = np.repeat(means, np.diff(np.append(first, len(time))), axis=0)
     averaged = np.einsum("nij,nj->ni", attitude, mean)

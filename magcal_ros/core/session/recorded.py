@@ -165,7 +165,7 @@ class SampleCollector:
 
     def _collect(self) -> None:
         for pair in self._pairer.take():
-            if pair.field.stamp < self._session.newest:
+            if self._session.jump(pair.field.stamp):
                 self._choose()
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
@@ -176,7 +176,7 @@ class SampleCollector:
                 self._drive.add(pair, estimator.speed)
 
     def _choose(self) -> None:
-        """Keep the part with the largest arc, if time was set back and there are two parts."""
+        """Keep the part with the largest arc, if the time was set and there are two parts."""
         if self._best is not None:
             both = self._best, self._session
             self._session = max(both, key=lambda session: session.progress(0.0).coverage.arc)

@@ -33,6 +33,11 @@ from magcal_ros.core.session.session_tuning import SESSION
 
 NO_SPAN = (math.nan,) * 7
 
+SET_BACK = "the time was set back during the turn; earlier samples were left out"
+SET_AHEAD = (
+    "the time was set ahead by more than an hour during the turn; earlier samples were left out"
+)
+
 
 TURN_NOT_MEASURED = (
     "; if the robot did turn, `magcal doctor` finds the sensor that does not measure it: the field "
@@ -110,7 +115,7 @@ class Session:
 
     `mounting` is needed for the angle about the up vector, `now` is in seconds on a steady clock,
     and `gyro` is from a rest before the turn. `longer` multiplies the size of the buffer.
-    `was_set_back` says whether stamps went back; the samples before that are left out.
+    `restarted` says how the stamps jumped, if they did; the samples before that are left out.
     """
 
     def __init__(
@@ -128,7 +133,7 @@ class Session:
         self._currents: list[tuple[float, float]] = []
         self._size = 0
         self._sigma, self._seen = math.inf, 0.0
-        self.was_set_back = False
+        self.restarted = ""
 
     @property
     def has_samples(self) -> bool:
@@ -140,20 +145,27 @@ class Session:
         """Stamp of the newest pair, seconds; minus infinity before the first."""
         return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
 
+    def jump(self, stamp: float) -> str:
+        """Say how the time was set between the newest pair and a stamp; empty if it was not."""
+        if stamp < self.newest:
+            return SET_BACK
+        is_ahead = self._size > 0 and stamp - self.newest > STREAMS.longest_pause
+        return SET_AHEAD if is_ahead else ""
+
     def add(self, pair: Pair, now: float, speed: float = math.nan) -> None:
         """Take a pair, and the speed of the wheels, m/s ahead; NaN if it is not measured.
 
-        A pair with the newest stamp is left out. An older stamp means that time was set back by a
-        clock or a looping bag. The robot may have moved in between, so the turn starts again.
+        A pair with the newest stamp is left out. After a jump of the stamps, by a clock or a
+        looping bag, the robot may have moved in between, so the turn starts again.
         """
         stamp, newest = pair.field.stamp, self.newest
         if stamp == newest:
             return
-        if stamp < newest:
+        if jump := self.jump(stamp):
             self._size = 0
             self._currents.clear()
             self._sigma, self._seen = math.inf, 0.0
-            self.was_set_back = True
+            self.restarted = jump
         if self._size == len(self._buffer):
             self._thin_out()
         imu, span = pair.imu, pair.span

@@ -115,7 +115,6 @@ Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 NO_SENSORS = ("", "")
 """The frames of magnetometer and IMU before the first messages; some drivers leave them empty."""
 
-SET_BACK = "the time was set back during the turn; earlier samples were left out"
 UNCHANGED = "the calibration in force is unchanged"
 
 
@@ -286,7 +285,7 @@ class TurnMachine:
     def _begin_fit(self, stage: Collecting, why: str, now: float) -> None:
         session = stage.session
         self.progress = session.progress(now)
-        why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
+        why = "; ".join(filter(None, (why, session.restarted)))
         self._leave_collecting()
         try:
             window = self.last_window = session.window()

@@ -71,6 +71,15 @@ def test_an_axis_along_the_field():
     assert refusal(window) is Reason.AXIS_ALONG_FIELD
 
 
+@pytest.mark.parametrize("method", ["maximum_likelihood", "design_tip"])
+def test_stamps_that_are_not_seconds(method):
+    """Nanoseconds took all of the memory."""
+    window = window_of()
+    window = Window(1e9 * window.time, window.field, window.specific_force, window.angular_rate)
+    outcome = calibrate(window, Robot().knowledge(), method)
+    assert "they must be seconds" in outcome.verdict.summary
+
+
 def test_sensors_without_values():
     plain = window_of()
     nothing = np.zeros((500, 3))

@@ -1,6 +1,7 @@
 """The size of gravity in the specific force of a sensor that is moved."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -40,3 +41,14 @@ def test_an_error_of_the_accelerometer_stays_visible_while_it_is_moved(factor):
 def test_without_a_gyro_the_usual_length_is_returned():
     time, force, _ = moved_by_hand(7, 2.0)
     assert gravity_size(time, force, None) == np.median(np.linalg.norm(force, axis=1))
+
+
+def test_a_jump_of_the_clock_takes_no_memory():
+    """The means over four seconds were searched in all of the time between, here 50 years."""
+    time, force, rate = moved_by_hand(7, 2.0)
+    time[1000:] += 1.6e9
+    tracemalloc.start()
+    assert gravity_size(time, force, rate) == pytest.approx(9.807, rel=0.1)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1e8

@@ -219,11 +219,13 @@ def test_limits_of_the_session_do_not_end_it(tmp_path):
     assert window.time[-1] - window.time[0] > 2 * Limits().timeout
 
 
+@pytest.mark.parametrize("jump", [-100.0, 1e5, 1.7e9])
 @pytest.mark.parametrize("turn_first", [True, False])
-def test_the_better_part_of_a_recording_with_a_jump_of_time_is_used(turn_first):
-    turned, little = drive(400.0, start=1000.0), drive(90.0, start=900.0, seed=2)
+def test_the_better_part_of_a_recording_with_a_jump_of_time_is_used(turn_first, jump):
+    first, second = 1000.0, 1000.0 + jump
+    turned, little = drive(400.0, start=first), drive(90.0, start=second, seed=2)
     if not turn_first:
-        turned, little = drive(400.0, start=900.0), drive(90.0, start=1000.0, seed=2)
+        turned, little = drive(400.0, start=second), drive(90.0, start=first, seed=2)
     collector = gathered([*turned, *little] if turn_first else [*little, *turned])
     assert collector.progress().coverage.is_complete
     outcome = fit_collected(collector, KNOWLEDGE)

@@ -218,7 +218,7 @@ class TestWindow:
             session.add(pair, 1.0)
             session.add(pair, 1.0)
         assert session.progress(2.0).samples == len(pairs)
-        assert not session.was_set_back
+        assert not session.restarted
 
     def test_the_turn_restarts_if_time_is_set_back(self):
         """After a jump of the clock, or a looping bag, the robot's heading is unknown."""
@@ -228,10 +228,24 @@ class TestWindow:
             session.add(pair, 1.0)
         for pair in pairs:
             session.add(pair, 2.0)
-        assert session.was_set_back
+        assert "set back" in session.restarted
         assert session.progress(2.0).samples == len(pairs)
         assert session.progress(2.0).coverage.is_complete
         assert (np.diff(session.window().time) > 0.0).all()
+
+    def test_the_turn_restarts_if_time_is_set_ahead(self):
+        """A clock that gets the date during the turn made a window of decades."""
+        pairs = list(pairs_of(simulated()))
+        session = Session(LIMITS, Mounting(), now=0.0)
+        for pair in pairs[: len(pairs) // 2]:
+            session.add(pair, 1.0)
+        for pair in pairs:
+            later = 1.7e9 + pair.field.stamp
+            imu = pair.imu._replace(stamp=later)
+            session.add(pair._replace(field=pair.field._replace(stamp=later), imu=imu), 2.0)
+        assert "set ahead" in session.restarted
+        assert session.progress(2.0).samples == len(pairs)
+        assert np.ptp(session.window().time) < 3600.0
 
     def test_infinite_rates_count_as_missing(self):
         pairs = list(pairs_of(simulated()))
