@@ -43,19 +43,28 @@ def use_one_thread() -> None:
 
 def calibrator() -> int:
     """Run the executable `calibrator`; returns the exit status."""
-    return _run("magcal_ros.ros.main")
+    return _run("magcal_ros.ros.main", interrupted=0)
 
 
 def magcal() -> int:
     """Run the command `magcal`; returns the exit status."""
-    return _run("magcal_ros.cli.main")
+    return _run("magcal_ros.cli.main", interrupted=130)
 
 
-def _run(module: str) -> int:
+def _run(module: str, interrupted: int) -> int:
+    """Run `main` of a module; returns `interrupted` if a signal comes while it is imported."""
     leave_out_current_folder()
+    import signal
     from importlib import import_module
 
-    return int(import_module(module).main())
+    # The imports take a second or two. A program that wants SIGTERM sets its own handler.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        main = import_module(module).main
+        signal.signal(signal.SIGTERM, before)
+    except KeyboardInterrupt:
+        return interrupted
+    return int(main())
 
 
 def start(

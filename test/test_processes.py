@@ -134,3 +134,18 @@ def test_a_folder_with_an_absolute_path_is_used_anywhere(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", ["/bin", str(tmp_path)])
     processes.leave_out_current_folder()
     assert sys.path == ["/bin", str(tmp_path)]
+
+
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(("program", "status"), [("magcal", 130), ("calibrator", 0)])
+def test_a_signal_while_a_program_is_imported_leaves_no_traceback(tmp_path, program, status, how):
+    """The imports take a second or two, in which a user may change their mind."""
+    for name in ("argparse", "rclpy"):
+        (tmp_path / f"{name}.py").write_text(f"import signal\nsignal.raise_signal(signal.{how})")
+    code = f"import sys; from magcal_ros import processes; sys.exit(processes.{program}())"
+    path = os.pathsep.join([str(tmp_path), str(Path(processes.__file__).parents[1])])
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (status, b"")
