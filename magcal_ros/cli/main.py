@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import io
 import os
 import sys
@@ -77,6 +78,8 @@ def _run(options: argparse.Namespace) -> Exit:
     except BrokenPipeError:
         raise
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT) and error.filename is None:
+            return _print_error(f"cannot print the result: {error.strerror}", Exit.FILE_TROUBLE)
         if error.filename is None:
             return _fault()
         # The system cannot use the user's path: too long, not permitted, missing.

@@ -244,6 +244,14 @@ def test_an_internal_error_is_reported_with_its_traceback(monkeypatch, capsys, t
     assert "Please report it" in errors
 
 
+def test_a_full_disk_behind_the_output_is_a_file_error(folder):
+    with open("/dev/full", "wb") as full:
+        streams = {"capture_output": False, "stdout": full, "stderr": subprocess.PIPE}
+        done = run("doctor", str(folder), "--json", **streams)
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert done.stderr == b"magcal: cannot print the result: No space left on device\n"
+
+
 def test_an_os_error_without_a_file_name_is_internal(monkeypatch, capsys):
     errors = iter([OSError(12, "Cannot allocate memory"), PermissionError(13, "Denied", "/secret")])
 
