@@ -18,8 +18,13 @@ from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
 from magcal_ros.core.session.recorded import SampleCollector, fault_of_drive
-from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import printable, write_atomically
+from magcal_ros.files.calibration_file import (
+    Origin,
+    read_calibration,
+    require_not_ours,
+    write_calibration,
+)
+from magcal_ros.files.disk import FileError, printable, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -83,16 +88,26 @@ def run_check(options: argparse.Namespace) -> int:
         magnetometer_frame=frame,
         imu_frame=recording.source.imu_frame,
     )
-    with recorded.with_progress(lambda: "writing the report"):
-        report = write_report(folder, subject)
+    report, trouble = _report(folder, subject)
     reference = recording.reference.facts
-    facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
+    facts = {**_facts(result, notes), "reference": reference, "report": report}
     facts["course"] = None if course is None else course.facts()
-    words = f"{_words(result, notes)}\n\nReport: {report}"
+    words = f"{_words(result, notes)}\n\n" + (f"Report: {report}" if report else "No report.")
     common.tell_result(facts, words, as_json=options.json)
+    if trouble is not None:
+        raise trouble
     if not result.verdict.accepted:
         return common.Exit.REFUSED
     return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
+
+
+def _report(folder: Path, subject: Subject) -> tuple[str | None, FileError | None]:
+    """Write the report; returns its path, or the error, which must not hide the result."""
+    try:
+        with recorded.with_progress(lambda: "writing the report"):
+            return str(write_report(folder, subject)), None
+    except FileError as error:
+        return None, error
 
 
 NOT_JUDGED = "This recording does not show whether the calibration holds."
@@ -203,7 +218,8 @@ def run_drive(options: argparse.Namespace) -> int:
     files = [page]
     if replay.last_calibration is not None and replay.last_calibration is not initial:
         files.append(folder / common.CALIBRATION)
-        write_calibration(files[-1], replay.last_calibration, Origin.now(*frames))
+        origin = Origin.now(*frames)
+        write_calibration(files[-1], replay.last_calibration, origin, remedy=common.REMEDY)
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = replay, notes, files
     common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
@@ -255,7 +271,8 @@ def run_export(options: argparse.Namespace) -> int:
     if options.output is None:
         print(text, end="")
     else:
-        write_atomically(options.output, text)
+        require_not_ours(options.output)
+        write_atomically(options.output, text, common.REMEDY)
     if options.to in NOTES:
         print(f"magcal: {options.to}: {NOTES[options.to]}", file=sys.stderr)
     return common.Exit.GOOD

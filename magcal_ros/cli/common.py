@@ -24,6 +24,7 @@ from magcal_ros.files.disk import FileError, printable_lines
 from magcal_ros.ros.parameter_table import PARAMETERS
 
 CALIBRATION = "calibration.yaml"
+REMEDY = "Choose a writable place with --output, or correct its permissions."
 
 
 class Exit(IntEnum):

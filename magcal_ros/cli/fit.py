@@ -92,8 +92,10 @@ def run(options: argparse.Namespace) -> int:
         return fitted.status
     quality = fitted.outcome.verdict.quality.value
     with recorded.with_progress(lambda: f"quality {quality}; writing the report"):
-        files = _write_files(folder, fitted, options)
+        files, trouble = _write_files(folder, fitted, options)
     common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
+    if trouble is not None:
+        raise trouble
     return fitted.status
 
 
@@ -137,17 +139,23 @@ def _fit(
     return FitResult(recording, knowledge, outcome, everything)
 
 
-def _write_files(folder: Path, fitted: FitResult, options: argparse.Namespace) -> list[Path]:
-    """Write the result into the folder; returns the files."""
-    files = []
+def _write_files(
+    folder: Path, fitted: FitResult, options: argparse.Namespace
+) -> tuple[list[Path], FileError | None]:
+    """Write the result into the folder; returns the files, and the error that stopped it."""
+    files = list[Path]()
     outcome, recording = fitted.outcome, fitted.recording
-    if outcome.calibration is not None and outcome.verdict.accepted:
-        origin = Origin.now(recording.source.field_frame, recording.source.imu_frame)
-        files.append(folder / common.CALIBRATION)
-        write_calibration(files[-1], outcome.calibration, origin)
-    if outcome.window is not None:
-        files.append(write_report(folder, _subject(fitted, outcome.window, options)))
-    return files
+    try:
+        if outcome.calibration is not None and outcome.verdict.accepted:
+            origin = Origin.now(recording.source.field_frame, recording.source.imu_frame)
+            file = folder / common.CALIBRATION
+            write_calibration(file, outcome.calibration, origin, remedy=common.REMEDY)
+            files.append(file)
+        if outcome.window is not None:
+            files.append(write_report(folder, _subject(fitted, outcome.window, options)))
+    except FileError as error:
+        return files, error
+    return files, None
 
 
 def _subject(fitted: FitResult, window: Window, options: argparse.Namespace) -> Subject:

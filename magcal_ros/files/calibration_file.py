@@ -18,7 +18,13 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
 from magcal_ros.core.heading.base_heading import VehicleYaw
 from magcal_ros.files.default_paths import identifier
-from magcal_ros.files.disk import FileError, NotRegularFile, read_small, write_atomically
+from magcal_ros.files.disk import (
+    REMEDY,
+    FileError,
+    NotRegularFile,
+    read_small,
+    write_atomically,
+)
 from magcal_ros.files.plausibility import require_possible
 
 FORMAT = "magcal_ros/calibration"
@@ -96,17 +102,18 @@ def write_calibration(
     calibration: Calibration,
     origin: Origin,
     when_written: Callable[[], object] | None = None,
+    remedy: str = REMEDY,
 ) -> None:
     """Write a calibration in one step, at full precision.
 
     FileError if the file cannot be written, or exists and is no calibration of this package; it
-    is then unchanged. `when_written` is as in `write_atomically`.
+    is then unchanged. `when_written` and `remedy` are as in `write_atomically`.
     """
     require_ours(path)
     document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
     style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "default_flow_style": None}
     body = yaml.dump(document, Dumper=_PlainDumper, **style)
-    write_atomically(path, HEADER + body, when_written=when_written)
+    write_atomically(path, HEADER + body, remedy, when_written)
 
 
 def is_free_or_ours(path: Path) -> bool:
@@ -125,6 +132,14 @@ def require_ours(path: Path) -> None:
     if not is_free_or_ours(path):
         raise FileError(
             f"{path} is not a calibration of magcal_ros, and was not changed; choose another name"
+        )
+
+
+def require_not_ours(path: Path) -> None:
+    """Raise a FileError if the file is a calibration of this package."""
+    if path.exists() and is_free_or_ours(path) and read_small(path, LARGEST_FILE).strip():
+        raise FileError(
+            f"{path} is a calibration of magcal_ros, and was not changed; choose another name"
         )
 
 

@@ -50,6 +50,17 @@ def test_a_good_calibration_holds(check, tmp_path):
     assert "Not shown by this recording:" in out
 
 
+def test_the_result_is_printed_although_the_report_cannot_be_written(check, tmp_path):
+    output = tmp_path / "found"
+    (output / "report.html").mkdir(parents=True)
+    bag = write_bag(tmp_path / "bag", drive(400.0, seed=2))
+    status, out, err = check(bag, "--output", str(output))
+    assert status == 5
+    assert out.startswith("The calibration holds.\n")
+    assert out.endswith("No report.\n")
+    assert "report.html exists already" in err
+
+
 def test_a_stale_calibration_is_4_with_the_reason(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
     assert status == 4

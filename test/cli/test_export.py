@@ -36,6 +36,20 @@ def test_an_export_is_written_to_a_file(stored, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_an_export_replaces_no_calibration(stored, capsys):
+    path = stored()
+    before = path.read_bytes()
+    assert main(["export", str(path), "--to", "c-header", "--output", str(path)]) == 5
+    assert "is a calibration of magcal_ros, and was not changed" in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+def test_an_export_that_cannot_be_written_names_the_option(stored, tmp_path, capsys):
+    arguments = ["export", str(stored()), "--to", "c-header", "--output", str(tmp_path)]
+    assert main(arguments) == 5
+    assert "Choose a writable place with --output" in capsys.readouterr().err
+
+
 def test_a_calibration_that_a_consumer_cannot_store_is_refused_in_one_line(
     stored, tmp_path, capsys
 ):

@@ -99,6 +99,16 @@ def test_nothing_is_overwritten(fit, bag, tmp_path):
     assert (tmp_path / "found" / "calibration.yaml").read_text() == "mine"
 
 
+def test_the_result_is_printed_although_the_report_cannot_be_written(fit, bag, tmp_path):
+    """The calibration was on disk, and its verdict was never seen."""
+    (tmp_path / "found" / "report.html").mkdir(parents=True)
+    status, out, err = fit(bag)
+    assert status == 5
+    assert "Calibrated" in out
+    assert "calibration.yaml" in out
+    assert "report.html exists already" in err
+
+
 def test_json_is_one_document_with_every_number(fit, bag, tmp_path):
     status, out, _ = fit(bag, "--json")
     document = json.loads(out)
