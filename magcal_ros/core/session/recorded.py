@@ -62,6 +62,10 @@ LONGER = 20  # buffer of a recording in multiples of that of a turn: two hours a
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
+IN_PARTS = (
+    "the time was set back, or ahead by more than an hour: of a turn, only the part with the "
+    "largest arc is used"
+)
 NEVER_TOGETHER = "their stamps have no time in common: `magcal doctor` shows how far apart they are"
 
 
@@ -79,6 +83,7 @@ class SampleCollector:
         self.streams = Streams(STREAMS.max_gap)
         self._session = Session(Limits(), mounting, 0.0, longer=LONGER)
         self._best: Session | None = None
+        self._is_in_parts = False
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self.received = [0, 0]
@@ -138,7 +143,8 @@ class SampleCollector:
         """Return the faults of the messages in words."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
         imu, field = map(InputCounts, self._topics, self.received, drops)
-        return complaints(self.streams, imu, field)
+        found = complaints(self.streams, imu, field)
+        return [f"{self._topics[1]}: {IN_PARTS}", *found] if self._is_in_parts else found
 
     def progress(self) -> Progress:
         """Return how much of a turn was measured."""
@@ -166,6 +172,7 @@ class SampleCollector:
     def _collect(self) -> None:
         for pair in self._pairer.take():
             if self._session.jump(pair.field.stamp):
+                self._is_in_parts = True
                 self._choose()
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)

@@ -228,6 +228,7 @@ def test_the_better_part_of_a_recording_with_a_jump_of_time_is_used(turn_first, 
         turned, little = drive(400.0, start=second), drive(90.0, start=first, seed=2)
     collector = gathered([*turned, *little] if turn_first else [*little, *turned])
     assert collector.progress().coverage.is_complete
+    assert "only the part with the largest arc is used" in collector.complaints()[0]
     outcome = fit_collected(collector, KNOWLEDGE)
     assert outcome.verdict.accepted, outcome.verdict.summary
 
