@@ -62,9 +62,9 @@ def _followed(
     for stamp, m, f, w in zip(*columns, strict=True):
         follower.add_field(stamp, tuple(m))
         follower.add(ImuSample(stamp, tuple(f), tuple(w)))
+        # A shock, a fall or milli-g published as m/s² is not followed.
         up = follower.at(stamp, 0.0)
-        assert up is not None
-        found.append(up)
+        found.append(up or Up(follower.newest or unit_triple(tuple(f)), UNKNOWN))
     variances = np.array([[each.variance] for each in found])
     return np.array([each.direction for each in found]), variances, follower.gyro_bias.rate
 
@@ -110,6 +110,7 @@ class Levelling:
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
 """m/s². Outside, in free fall or a fault of the driver, a reading has no direction."""
+UNKNOWN = 1.0  # rad², the variance of an up that no reading shows
 LARGEST_RATE = 100.0  # rad/s, three times what any gyro measures
 
 

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core import Window
@@ -28,6 +29,26 @@ def test_without_a_gyro_up_is_by_the_accelerometer_alone():
     motion = turn()
     window = measure(Robot(), motion, np.random.default_rng(3))
     assert away_deg(propagated_up(window), motion) < 1.2
+
+
+def test_forces_in_another_unit_have_a_direction():
+    """With milli-g published as m/s², the report on the turn ended with an AssertionError."""
+    motion = turn()
+    window = measure(Robot(), motion, np.random.default_rng(3), gyro=True)
+    window = replace(window, specific_force=100.0 * window.specific_force)
+    assert away_deg(propagated_up(window), motion) < 1.2
+
+
+@pytest.mark.parametrize("row", [0, 60, -1])
+@pytest.mark.parametrize("force", [(600.0, 0.0, 0.0), (0.02, 0.0, 0.0)])
+def test_a_shock_or_a_fall_does_not_end_the_fit(row, force):
+    motion = turn()
+    window = measure(Robot(noise_rate=1e-3), motion, np.random.default_rng(3), gyro=True)
+    forces = window.specific_force.copy()
+    forces[row] = force
+    found = propagated_up(replace(window, specific_force=forces))
+    others = np.delete(np.arange(len(window)), row)
+    assert away_deg(found[others], Motion(motion.time[others], motion.attitude[others])) < 1.2
 
 
 def test_a_large_bias_by_a_rest_is_used_after_it():
