@@ -77,7 +77,10 @@ def read_dataflash(path: Path, head: bytes, deadline: logs.Deadline) -> DataFlas
             kind.init_clock(reader)
 
     timed: Any = type("TimedReader", (kind,), {"recv_msg": recv_msg, "init_clock": init_clock})
-    with timed(str(path)) as reader:
+    # The library's index is compiled code, which prints a line for each damaged byte.
+    with logs.without_native_errors():
+        opened = timed(str(path))
+    with opened as reader:
         clocks = (library.DFReaderClock_usec, library.DFReaderClock_msec)
         if is_binary and isinstance(reader.clock, clocks):
             return _by_type(reader, library.FORMAT_TO_STRUCT, deadline)

@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import io
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -35,6 +36,8 @@ FIX_3D = 3
 
 Progress = Callable[[float], None]  # is called with the fraction that has been read, 0 to 1
 
+
+STANDARD_ERROR = 2  # file descriptor
 
 EVERY = 1000  # messages, or pieces of a file, between two checks of the time
 
@@ -244,6 +247,24 @@ def without_output(path: Path, deadline: Deadline) -> Iterator[None]:
         contextlib.redirect_stderr(output),
     ):
         yield
+
+
+@contextlib.contextmanager
+def without_native_errors() -> Iterator[None]:
+    """Discard what a library's compiled code writes to the process's standard error."""
+    try:
+        kept = os.dup(STANDARD_ERROR)
+    except OSError:  # it is closed
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        os.dup2(nowhere, STANDARD_ERROR)
+        yield
+    finally:
+        os.dup2(kept, STANDARD_ERROR)
+        os.close(nowhere)
+        os.close(kept)
 
 
 class _DiscardedOutput(io.TextIOBase):
