@@ -224,7 +224,8 @@ def read_numbers(
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[TextIO]:
     try:
-        with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
+        # Spreadsheets begin a file with a byte order mark.
+        with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig") as handle:
             yield handle
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error

@@ -27,6 +27,12 @@ def test_columns_are_found_by_name_in_any_order(folder):
     assert read_csv_folder(folder).field.tolist() == [[1.05, 1e-5, 2e-5, -3e-5]]
 
 
+def test_a_byte_order_mark_is_no_part_of_the_first_name(folder):
+    """A spreadsheet writes it; the answer was that there is no column t."""
+    (folder / "mag.csv").write_text(MAG, encoding="utf-8-sig")
+    assert read_csv_folder(folder).field.tolist() == [[1.05, 1e-5, 2e-5, -3e-5]]
+
+
 def test_samples_come_in_the_order_of_their_stamps_the_imu_first():
     imu = np.column_stack([[1.0, 2.0, 3.0], np.ones((3, 6))])
     field = np.column_stack([[0.5, 2.0, 2.5], np.ones((3, 3))])
