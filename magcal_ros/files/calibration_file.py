@@ -71,9 +71,18 @@ class Origin:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Safe YAML without aliases and deep nesting, which could exhaust the memory."""
+    """Safe YAML without aliases and deep nesting, which could exhaust the memory.
+
+    Of an entry that is given twice, YAML would silently take the last.
+    """
 
     _depth = 0
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        names = [each.value for each, _ in node.value]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise yaml.YAMLError(f"{twice[0]!r} is given twice")
+        return super().construct_mapping(node, deep)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):

@@ -317,6 +317,13 @@ class TestDamage:
 
 
 class TestHostileYaml:
+    def test_an_entry_that_is_given_twice_is_an_error(self, written):
+        """The last one counted, without a word: two versions joined in an editor, for example."""
+        identity = "correction_matrix: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
+        written.write_text(written.read_text() + identity)
+        with pytest.raises(FileError, match="'correction_matrix' is given twice"):
+            read_calibration(written)
+
     def test_an_alias_bomb_is_not_expanded(self, written):
         rows = ["bomb0: &b0 [1, 1]"]
         rows += [f"bomb{k}: &b{k} [{', '.join([f'*b{k - 1}'] * 9)}]" for k in range(1, 12)]
