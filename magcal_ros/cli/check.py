@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -183,6 +184,9 @@ NO_GYRO = (
 )
 
 
+TOO_SHORT = "the recording, or the span of it, is too short for a drive: record some minutes"
+
+
 def run_drive(options: argparse.Namespace) -> int:
     """Replay a recorded drive, and show the decisions of self-calibration with their reasons.
 
@@ -207,8 +211,9 @@ def run_drive(options: argparse.Namespace) -> int:
                 )
                 collector.take(repaired, travel)
                 replay = replace(replay, fault=fault_of_drive(collector, knowledge))
-        if replay.seconds == 0.0:
-            raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
+        if not replay.seconds > 0.0:
+            no_gyro = math.isnan(replay.seconds) and all(repaired.read)
+            raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO if no_gyro else TOO_SHORT)
         frames = source.field_frame, source.imu_frame
         if replay.last_calibration is not None and travel:
             north = reference.field.declination

@@ -121,6 +121,14 @@ def test_a_recording_without_a_gyro_is_refused_with_the_reason(tmp_path, capsys)
     assert not out.exists()
 
 
+@pytest.mark.parametrize("span", [["--to", "0.005"], ["--from", "100"]])
+def test_a_span_with_one_sample_or_none_is_not_said_to_have_no_gyro(tmp_path, capsys, span):
+    _, samples = sensors([Leg(10.0)])
+    folder = write_csv(tmp_path / "csv", samples)
+    assert main(["drive", str(folder), *span, "--output", str(tmp_path / "out")]) == 3
+    assert "is too short for a drive" in capsys.readouterr().err
+
+
 def rewritten(folder, name, columns, scale, into):
     """Write a folder of tables again, some columns of one of them times a number."""
     into.mkdir()

@@ -199,7 +199,7 @@ class DriveReplay:
     decisions: tuple[tuple[float, Decision], ...]  # seconds from the beginning, and the decision
     first_calibration: Calibration | None  # in force at the beginning
     last_calibration: Calibration | None  # in force at the end
-    seconds: float  # duration of the recording
+    seconds: float  # between the first and the last field with a gyro; NaN without one
     moved: float  # seconds of movement
     state: str  # the state at the end, in words
     path: DrivePath | None  # None without a calibration
@@ -251,8 +251,7 @@ def replay_drive(
         fixes = np.array([each[:3] for each in ways if isinstance(each, PositionSample)])
         measured = fixes if len(fixes) > 2 else None
         path = path_along(now, rows[:, 0], rows[:, 2:5], rows[:, 5:], rows[:, 1], measured)
-    seconds = 0.0 if math.isnan(first) else last - first
-    moved = machine.recorder.moved
+    seconds, moved = last - first, machine.recorder.moved
     return DriveReplay(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
 
 
