@@ -125,7 +125,7 @@ class CalibrationStore:
                 with_time_limit(lambda: write_calibration(*content), path, WRITE_WITHIN)
             except FileError as error:
                 self.problem = str(error)
-                return f"In force, but not saved: {error}"
+                return f"In force, but not saved: {str(error).rstrip('.')}."
             self.problem = ""
             return f"In force and saved to {path}.{lost}"
 
@@ -240,7 +240,7 @@ class CalibrationStore:
             self._is_reading = False
             if isinstance(found, Exception):
                 self.problem = str(found)
-                self._log.error(f"{found} Running uncalibrated.")
+                self._log.error(f"{str(found).rstrip('.')}. Running uncalibrated.")
             else:
                 if found is None and not frame and chosen:
                     # Only at the start: a path that is set later is not revealed to the network.

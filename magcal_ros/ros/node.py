@@ -188,7 +188,7 @@ class Calibrator(Node):
             return Conclusion(True, "there was no calibration in force")
         return Conclusion(
             True,
-            "no calibration is in force any more; the file is kept and is used at the next start",
+            "no calibration is in force any more; the next start loads the stored one, if any",
         )
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
