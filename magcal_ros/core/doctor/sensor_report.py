@@ -42,7 +42,7 @@ from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotat
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
-from magcal_ros.core.samples.window import SensorLog, Window
+from magcal_ros.core.samples.window import SensorLog, Window, is_noiseless
 
 YAW_BY_COURSE = "axes: yaw by course"
 DRIVE_FARTHER = "drive farther: straight, in several directions, and faster than walking pace"
@@ -237,12 +237,18 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return a refusal if the gyro is frozen, dead about the vertical, or in a wrong unit."""
+    """Return a refusal of a gyro that is frozen, dead about the vertical, or in a wrong unit.
+
+    An accelerometer beside a gyro that is frozen is refused, too; without noise both may be right.
+    """
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
-    if rate.any() and not np.ptp(rate, axis=0).any():
-        return _refusal_by_comparison(window, knowledge, ("frozen",))
+    readings = [rate] if is_noiseless(rate) else [rate, window.specific_force]
+    if rate.any() and any(not np.ptp(each, axis=0).any() for each in readings):
+        frozen = _refusal_by_comparison(window, knowledge, ("frozen",))
+        if frozen is not None:
+            return frozen
     if up_axis(window.specific_force) in dead_axes(rate):
         return Refusal(
             Reason.AXES_DISAGREE,

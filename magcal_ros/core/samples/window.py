@@ -24,6 +24,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
 ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
+ROUNDING = 1e-12  # of an integral over some samples, relative to the largest reading
 NOISELESS, FEWEST_BENDS = 1e-4, 50
 """Largest second difference of a rate without noise, over the largest rate; and the fewest second
 differences for this test."""
@@ -253,7 +254,10 @@ class SensorLog:
             angle, velocity, intervals = window.missed
             left_out = np.flatnonzero(intervals > 1.0)
             between = 0.5 * (imu[1:] + imu[:-1])
-            between[:, 1:] += 2.0 * np.hstack([velocity, angle]) / np.diff(time)[:, None]
+            beyond = 2.0 * np.hstack([velocity, angle]) / np.diff(time)[:, None]
+            # Rounding must not look like a change of a sensor that repeats one value.
+            beyond[np.abs(beyond) < ROUNDING * np.abs(imu[:, 1:]).max()] = 0.0
+            between[:, 1:] += beyond
             imu = np.insert(imu, left_out + 1, between[left_out], axis=0)
         return cls(imu[:, 0], imu[:, 1:4], imu[:, 4:], time, window.field)
 

@@ -20,7 +20,10 @@ from magcal_ros.core.doctor import (
     refusal_by_sensors,
     wrong_axes,
 )
-from magcal_ros.core.simulation import Robot
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.session import SampleCollector, fit_collected
+from magcal_ros.core.simulation import Ride, Robot
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +121,24 @@ def test_a_stuck_gyro_is_reported(window, since):
     assert "the gyro is frozen" in str(
         refusal_by_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
     )
+
+
+@pytest.mark.parametrize("sensors", [["force"], ["rate"], ["force", "rate"]])
+def test_an_imu_that_repeats_one_message_is_reported(sensors):
+    """The heading was off by several of its sigmas: the one reading's error was taken for tilt."""
+    ride = Ride(Robot(), np.random.default_rng(3), start=1000.0)
+    samples = [sample for _ in range(350) for sample in ride.step(0.5)]
+    first = next(each for each in samples if isinstance(each, ImuSample))
+    held = {name: getattr(first, name) for name in sensors}
+    collector = SampleCollector(Mounting())
+    collector.take(
+        each._replace(**held) if isinstance(each, ImuSample) else each for each in samples
+    )
+    outcome = fit_collected(collector, Robot().knowledge())
+    assert not outcome.verdict.accepted
+    for name in sensors:
+        of = {"force": "accelerometer", "rate": "gyro"}[name]
+        assert f"the {of} is frozen" in outcome.verdict.summary
 
 
 def test_rates_in_another_unit_are_reported(window):
