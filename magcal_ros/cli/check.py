@@ -59,11 +59,8 @@ def run_check(options: argparse.Namespace) -> int:
         own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = common.new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, recording.reference.field)
-    made_for, frame = origin.magnetometer_frame, recording.source.field_frame
-    notes = recording.complaints()
-    if made_for and frame and made_for != frame:
-        about = f"made for the magnetometer {printable(made_for)}, but this is {printable(frame)}"
-        notes.insert(0, f"the calibration was {about}")
+    frame = recording.source.field_frame
+    notes = [*_of_another_sensor(origin, frame), *recording.complaints()]
     slow = recording.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words]
@@ -100,6 +97,15 @@ def run_check(options: argparse.Namespace) -> int:
     if not result.verdict.accepted:
         return common.Exit.REFUSED
     return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
+
+
+def _of_another_sensor(origin: Origin | None, frame: str) -> list[str]:
+    """Say that the calibration is of another magnetometer than the recording; empty if not."""
+    made_for = "" if origin is None else origin.magnetometer_frame
+    if not made_for or not frame or made_for == frame:
+        return []
+    names = f"made for the magnetometer {printable(made_for)}, but this is {printable(frame)}"
+    return [f"the calibration was {names}"]
 
 
 def _report(folder: Path, subject: Subject) -> tuple[str | None, FileError | None]:
@@ -194,7 +200,9 @@ def run_drive(options: argparse.Namespace) -> int:
     ~/accept. A map shows where the field is disturbed. Exit status: 0 a calibration is in force at
     the end, 2 usage, 3 no calibration is in force, 5 file trouble.
     """
-    initial = None if options.calibration is None else read_calibration(options.calibration)[0]
+    initial, made = None, None
+    if options.calibration is not None:
+        initial, made = read_calibration(options.calibration)
     folder = common.new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
         reference = common.reference_in_use(options, source.place, source.first_stamp)
@@ -225,7 +233,8 @@ def run_drive(options: argparse.Namespace) -> int:
         files.append(folder / common.CALIBRATION)
         origin = Origin.now(*frames)
         write_calibration(files[-1], replay.last_calibration, origin, remedy=common.REMEDY)
-    notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
+    notes = [*_of_another_sensor(made, frames[0]), *source.notes, *repaired.notes]
+    notes = list(dict.fromkeys(notes))
     content = replay, notes, files
     common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
     return common.Exit.TOO_LITTLE_DATA if replay.last_calibration is None else common.Exit.GOOD

@@ -122,3 +122,14 @@ def test_a_file_error_is_5_and_a_usage_error_2(check, tmp_path):
     with pytest.raises(SystemExit) as left:
         main(["check", str(path)])
     assert left.value.code == 2
+
+
+def test_a_drive_with_the_calibration_of_another_sensor_is_reported(
+    calibration_file, tmp_path, capsys
+):
+    """`check` said so, and `drive` replayed without a word."""
+    path = write_bag(tmp_path / "bag", drive(400.0, seed=2), frames=("imu_link", "rear"))
+    options = ["--calibration", str(calibration_file), "--output", str(tmp_path / "out")]
+    assert main(["drive", str(path), *options]) == 0
+    out = capsys.readouterr().out
+    assert "made for the magnetometer mag_link, but this is rear" in out
