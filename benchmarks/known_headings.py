@@ -43,9 +43,8 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
-from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
+from magcal_ros.core.samples.streams import FieldSample, HeadingSample, ImuSample
+from magcal_ros.core.session.at_known_heading import HeadingCollector, fit_log
 from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
@@ -182,8 +181,8 @@ class Follower:
     def __init__(self, drive: Drive, knowledge: Knowledge, rng: np.random.Generator) -> None:
         self._drive, self._knowledge, self._rng = drive, knowledge, rng
         self._forward = drive.vehicle.imu_pose[0]
-        self._log, self._up = HeadingLog(self._forward), UpFollower()
-        self._turn = GyroTurn()
+        self._up = UpFollower()
+        self._collector = HeadingCollector(self._up)
         self._fused: FusedYaw | None = None
         self._compass: Compass | None = None
         self._gyros: list[FusedYaw] = []
@@ -216,21 +215,19 @@ class Follower:
                 self._on_field(sample, since, k)
                 if since < HEARD and sample.stamp >= next_:
                     next_ += 0.2
-                    self._on_heading(sample.stamp, self._told(k))
+                    self._on_heading(self._told(sample.stamp, k))
 
-    def _told(self, k: int) -> ExternalHeading:
+    def _told(self, stamp: float, k: int) -> HeadingSample:
         """Return the headings of the antennas, to true north."""
         attitude = self._drive.truth.attitude[k]
         yaw = math.atan2(attitude[0, 1], attitude[0, 0])
-        return ExternalHeading(yaw + DEGREE * self._rng.standard_normal(), DEGREE, True)
+        return HeadingSample(stamp, yaw + DEGREE * self._rng.standard_normal(), DEGREE)
 
     def _on_imu(self, sample: ImuSample) -> None:
         self._up.add(sample)
         follower = self._up
         up = follower.at(sample.stamp, 0.0)
-        if up is not None:
-            by = up.direction, follower.mean_rate, follower.gyro_bias.variance
-            self._turn = self._turn.after(sample.stamp, *by)
+        self._collector.on_imu(sample.stamp)
         if up is None or self._fused is None:
             return
         rate, known = follower.mean_rate, follower.gyro_bias
@@ -246,9 +243,10 @@ class Follower:
         if up is None:
             return
         if since < HEARD:
-            reported, shift = self._told(k), self._knowledge.reference.declination or 0.0
-            received = sample, up.direction, self._up.rate, reported, shift, self._up.is_at_rest
-            if self._log.add(*received, self._turn):
+            self._collector.on_heading(self._told(sample.stamp, k))
+            if self._collector.on_field(
+                sample, self._forward, True, self._knowledge.reference, 0.2
+            ):
                 self._calibrate()
         if self._compass is not None and self._fused is not None:
             field = self._compass.correct(sample.field)
@@ -257,7 +255,7 @@ class Follower:
                 self._fused.correct(sample.stamp, field, up, heading)
 
     def _calibrate(self) -> None:
-        outcome, _ = fit_log(self._log.take(), self._knowledge)
+        outcome, _ = fit_log(self._collector.measurements, self._knowledge)
         if outcome.verdict.accepted and outcome.calibration is not None:
             self.calibration = outcome.calibration
             self._compass = Compass(outcome.calibration)
@@ -265,11 +263,11 @@ class Follower:
                 self._fused = FusedYaw(outcome.calibration, PATIENCE)
             self._fused.use(outcome.calibration, PATIENCE)
 
-    def _on_heading(self, stamp: float, reported: ExternalHeading) -> None:
+    def _on_heading(self, reported: HeadingSample) -> None:
         if self._fused is not None:
             x, y, z = self._forward.tolist()
             yaw = reported.yaw + (self._knowledge.reference.declination or 0.0)
-            self._fused.take_heading(stamp, yaw, reported.sigma**2, (x, y, z))
+            self._fused.take_heading(reported.stamp, yaw, reported.sigma**2, (x, y, z))
 
 
 def outages(drives: int, first: int) -> None:

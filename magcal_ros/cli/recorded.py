@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -249,5 +249,4 @@ def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | No
             pairs.append(pairs_at_rest(RepairedReadings(source)))
     sigma = math.radians(options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
-    outcome, words = fit_at_headings(pairs, given, knowledge)
-    return replace(outcome, verdict=replace(outcome.verdict, says=words))
+    return fit_at_headings(pairs, given, knowledge)

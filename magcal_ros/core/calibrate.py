@@ -66,6 +66,10 @@ class Outcome:
         """Return the outcome of samples that do not determine a calibration."""
         return cls(refuse(refusal), reason=refusal.reason, window=window)
 
+    def saying(self, words: str) -> Outcome:
+        """Return the same outcome with another summary of its verdict."""
+        return replace(self, verdict=replace(self.verdict, says=words))
+
 
 def find_method(name: str) -> Fit:
     """Return the function of a method; its module is imported now. ValueError if it is unknown."""

@@ -76,6 +76,10 @@ class ReferenceField:
             return Belief.unknown()
         return Belief(self.declination, self.declination_sigma)
 
+    def to_magnetic(self, is_true: bool) -> float | None:
+        """Return the angle to add to a heading for magnetic north, radians; None if not known."""
+        return self.declination if is_true else 0.0
+
 
 @dataclass(frozen=True)
 class SoftIron:

@@ -26,7 +26,7 @@ from magcal_ros.ros.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
-    from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
+    from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingResult
     from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 
 TOPIC = "heading"
@@ -60,7 +60,7 @@ class HeadingTopic:
     def forget(self) -> None:
         """Discard the collected headings and all findings."""
         if self._collector is not None:
-            self._collector.log = None
+            self._collector.forget()
         self._answer, self._doubt, self._missed = "", "", 0
 
     @property
@@ -92,8 +92,11 @@ class HeadingTopic:
         """Return the part of `~/status` on the topic; None before the first heading."""
         if self._collector is None:
             return None
-        kept = 0 if self._collector.log is None else len(self._collector.log.measurements)
-        is_received, found = self.is_received, self._answer
+        kept, is_received, found = (
+            sum(map(len, self._collector.kept)),
+            self.is_received,
+            self._answer,
+        )
         return {"topic": self.topic, "speaks": is_received, "kept": kept, "found": found}
 
     def on_imu(self, stamp: float) -> None:
@@ -111,9 +114,8 @@ class HeadingTopic:
             return
         settings = self._pipeline.current_settings()
         north = settings.heading_is_true, settings.knowledge.reference
-        is_enough = collector.on_field(sample, view.pose[0], *north)
-        if is_enough and collector.log is not None:
-            self._fit(settings, collector.log)
+        if collector.on_field(sample, view.pose[0], *north):
+            self._fit(settings, collector)
 
     def _on_heading(self, data: bytes) -> None:
         try:
@@ -133,8 +135,7 @@ class HeadingTopic:
         if self.collected is not None:
             self.collected.append(sample)
         settings, view = self._pipeline.current_settings(), self._pipeline.frames.view
-        given = ExternalHeading(sample.yaw, sample.sigma, settings.heading_is_true)
-        shift = given.to_magnetic(settings.knowledge.reference)
+        shift = settings.knowledge.reference.to_magnetic(settings.heading_is_true)
         self._fault = NO_DECLINATION if shift is None else ""
         yaw = self._pipeline.fused.yaw
         if self._collector.check.fault or shift is None or view is None or yaw is None:
@@ -145,21 +146,21 @@ class HeadingTopic:
             self._missed = self._missed + 1 if missed > FUSION.heading_gate else 0
             self._gap = yaw.last_heading_gap
 
-    def _fit(self, settings: Settings, log: HeadingLog) -> None:
-        measurements = log.take()
+    def _fit(self, settings: Settings, collector: HeadingCollector) -> None:
+        measurements, kept = collector.measurements, collector.kept
 
         def work() -> tuple[Outcome, str]:
             from magcal_ros.core.session.at_known_heading import fit_log
 
             return self._worker.run_once(fit_log, measurements, settings.knowledge)
 
-        self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
+        self._pipeline.fits.run(work, lambda found: self._note(*found, kept), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._answer = f"the fit failed: {error}"
 
-    def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
-        if self._collector is None or log is not self._collector.log:
+    def _note(self, outcome: Outcome, north: str, kept: object) -> None:
+        if self._collector is None or kept is not self._collector.kept:
             return
         self._answer, self._doubt = outcome.verdict.summary, north
         if outcome.reason is Reason.HEADING_CONTRADICTED:
@@ -321,16 +322,16 @@ class KnownHeadings:
             words = "~/reset was called or the sensor changed: call this service again"
             self._conclude(False, words)
             return
-        calibration = result.outcome.calibration
+        calibration, verdict = result.outcome.calibration, result.outcome.verdict
         if calibration is not None:
             self._measurements, self._turn = result.measurements, GyroTurn()
         if not result.applies or calibration is None:
             # It is a success if the heading agrees with a better calibration in force.
-            self._conclude(result.outcome.verdict.accepted, result.words)
+            self._conclude(verdict.accepted, verdict.summary)
             return
         self._magnetometer.use(
             calibration,
-            lambda done: self._conclude(done.success, f"{result.words} {done.message}"),
+            lambda done: self._conclude(done.success, f"{verdict.summary} {done.message}"),
         )
 
     def _conclude(self, success: bool, message: str) -> None:

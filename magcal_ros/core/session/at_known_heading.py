@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -22,8 +23,12 @@ from magcal_ros.core.knowledge import CLEAR, STREET_LENGTH, Knowledge, Reference
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
-from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
+from magcal_ros.core.session.external_heading import (
+    ExternalHeading,
+    GyroTurn,
+    HeadingAgainstGyro,
+    is_by_headings,
+)
 from magcal_ros.core.session.session_tuning import KNOWN, LOG, SESSION
 from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.smoother.state import SECTORS
@@ -34,6 +39,7 @@ from magcal_ros.core.smoother.unknowns import (
     ON_WHEELS,
     SIZES,
     USUALLY_LATE,
+    Size,
 )
 from magcal_ros.core.up.follower import UpFollower
 
@@ -66,9 +72,8 @@ class HeadingResult:
 
     measurements: tuple[KnownHeadingMeasurement, ...]  # all rests to use from now on
     outcome: Outcome
-    applies: bool
-    """Whether the new calibration is to be put in force."""
-    words: str  # the verdict, and the accuracy to expect after the next heading
+    """The summary of its verdict has the accuracy to expect after the next heading as well."""
+    applies: bool = False  # whether the new calibration is to be put in force
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +90,7 @@ class CollectedSamples:
 
     def measurement(self) -> KnownHeadingMeasurement:
         """Return the means; raises Refusal if the robot moved or there are too few samples."""
-        declination = self.given.to_magnetic(self.knowledge.reference)
+        declination = self.knowledge.reference.to_magnetic(self.given.is_true)
         if declination is None:
             raise Refusal(
                 Reason.NO_SOLUTION,
@@ -130,14 +135,13 @@ def calibrate_at_known_heading(
     try:
         new = collected.measurement()
     except Refusal as refusal:
-        return _refused(before, refusal)
+        return _refused(before, Outcome.refused(refusal))
     return add_known_heading(before, new, collected.knowledge, in_force)
 
 
-def _refused(before: tuple[KnownHeadingMeasurement, ...], refusal: Refusal) -> HeadingResult:
+def _refused(before: tuple[KnownHeadingMeasurement, ...], outcome: Outcome) -> HeadingResult:
     kept = f" Earlier known headings that are kept: {len(before)}." if before else ""
-    words = str(refusal).rstrip(".")
-    return HeadingResult(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
+    return HeadingResult(before, outcome.saying(f"{outcome.verdict.summary}{kept}"))
 
 
 def add_known_heading(
@@ -151,22 +155,19 @@ def add_known_heading(
     A calibration in force from a turn or drive is kept if its heading sigma is smaller. A heading
     that contradicts this calibration is refused.
     """
-    other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
+    other = None if in_force is None or is_by_headings(in_force) else in_force
+    gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
+    if abs(gap) > CLEAR * sigma:
+        refusal = Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
+        return _refused(before, Outcome.refused(refusal))
     measurements = (*_without_repeated(before, new), new)[-KNOWN.most :]
-    try:
-        gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
-        if abs(gap) > CLEAR * sigma:
-            raise Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
-        estimate = fit(measurements, knowledge)
-    except Refusal as refusal:
-        return _refused(before, refusal)
-    outcome = judged(estimate, knowledge)
-    verdict = outcome.verdict
-    words = [verdict.summary, declination_hint(estimate, measurements, knowledge)]
-    words.append(_next_in_words(measurements, knowledge))
-    applies = verdict.accepted
+    outcome, north = fit_log(measurements, knowledge, DISTURBANCE_AT_REST)
+    if outcome.calibration is None:
+        return _refused(before, outcome)
+    applies = outcome.verdict.accepted
+    words = [outcome.verdict.summary, north, _next_in_words(measurements, knowledge)]
     if applies and other is not None:
-        own, theirs = (calibration_sigma(each) for each in (estimate, other))
+        own, theirs = (calibration_sigma(each) for each in (outcome.calibration, other))
         if theirs < own:
             applies = False
             words.insert(
@@ -175,7 +176,7 @@ def add_known_heading(
                 f"and predicts ±{theirs * DEGREES:.1f}°, so it is kept. By known headings:",
             )
     text = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
-    return HeadingResult(measurements, outcome, applies, text.replace(":.", ":"))
+    return HeadingResult(measurements, outcome.saying(text.replace(":.", ":")), applies)
 
 
 def _without_repeated(
@@ -237,10 +238,8 @@ class _DriveMean(NamedTuple):
     turn: GyroTurn
     metres: float
 
-    def after(self, before: _DriveMean | None) -> KnownHeadingMeasurement:
-        """Return the measurement with distance, time and turn since the previous one, if any."""
-        if before is None:
-            return self.measurement
+    def after(self, before: _DriveMean) -> KnownHeadingMeasurement:
+        """Return the measurement with distance, time and turn since the previous one."""
         turn = self.turn.since(before.turn)
         return replace(
             self.measurement,
@@ -251,113 +250,28 @@ class _DriveMean(NamedTuple):
         )
 
 
-class HeadingLog:
-    """Keeps means of the field at known headings of `forward` (3,), IMU axes.
-
-    The number of means for each sector of headings is limited.
-    """
-
-    def __init__(self, forward: FloatArray) -> None:
-        self.forward = forward
-        self._kept: list[deque[_DriveMean]] = [deque(maxlen=LOG.each) for _ in range(SECTORS)]
-        self._fresh = 0
-        self._heard, self._metres = math.nan, 0.0
-        self._block: list[tuple[float, ...]] = []  # stamp, field, up, heading as a direction, turn
-
-    def add(
-        self,
-        sample: FieldSample,
-        up: Triple,
-        rate: Triple,
-        given: ExternalHeading,
-        shift: float,
-        is_at_rest: bool,
-        turn: GyroTurn,
-    ) -> bool:
-        """Take a field sample and the heading at its stamp; returns whether to fit again.
-
-        `up` is a unit vector and `rate` in rad/s without the bias, body axes. `shift` (rad) is
-        added to the heading to refer it to magnetic north. `turn` is by the gyro since the log
-        began: it reveals headings that drift. Means of a sector are one correlation length of the
-        local disturbance apart, by the usual speed of a drive. So a rest gives one mean only.
-        """
-        stamp = sample.stamp
-        since, self._heard = stamp - self._heard, stamp
-        if since > 0.0 and not is_at_rest:
-            self._metres += KINDS[ON_WHEELS].speed * since
-        if abs(dot(rate, up)) > LOG.rate:
-            self._block = []
-            return False
-        if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:
-            self._block = []
-        direction = math.cos(given.yaw), math.sin(given.yaw)
-        self._block.append((stamp, *sample.field, *up, *direction, turn.angle))
-        if stamp - self._block[0][0] < LOG.block:
-            return False
-        mean = np.mean(self._block, axis=0)
-        heading = wrapped(math.atan2(mean[8], mean[7]) + shift)
-        measurement = KnownHeadingMeasurement(
-            mean[1:4],
-            STANDARD_GRAVITY * mean[4:7],
-            heading,
-            math.hypot(given.sigma, LOG.rate * USUALLY_LATE),
-            by_declination=given.is_true,
-            forward=self.forward,
-            force_sigma=LOG.force,
-            common_sigma=LOG.common,
-            drifts=True,
-        )
-        self._block = []
-        turn = turn._replace(angle=float(mean[9]))
-        return self._keep(heading, _DriveMean(stamp, measurement, turn, self._metres))
-
-    def _keep(self, heading: float, new: _DriveMean) -> bool:
-        sector = self._kept[int((heading % math.tau) / math.tau * SECTORS) % SECTORS]
-        if sector and new.metres - sector[-1].metres < STREET_LENGTH:
-            return False
-        sector.append(new)
-        self._fresh += 1
-        return self._fresh >= max(LOG.each, len(self.measurements) // 3)
-
-    @property
-    def measurements(self) -> tuple[KnownHeadingMeasurement, ...]:
-        """The kept means in the order of time."""
-        found = [each for sector in self._kept for each in sector]
-        kept = sorted(found, key=lambda each: each.stamp)
-        return tuple(each.after(kept[k - 1] if k else None) for k, each in enumerate(kept))
-
-    def take(self) -> tuple[KnownHeadingMeasurement, ...]:
-        """Return the kept means for a fit; means that come later count as new."""
-        self._fresh = 0
-        return self.measurements
-
-
-def fit_log(
-    measurements: tuple[KnownHeadingMeasurement, ...], knowledge: Knowledge
-) -> tuple[Outcome, str]:
-    """Calibrate from headings in a drive; returns the outcome and a warning.
-
-    The warning says that the headings seem to refer to the other north; it is empty if not.
-    """
-    try:
-        estimate = fit(measurements, knowledge, SIZES["street"])
-    except Refusal as refusal:
-        return Outcome.refused(refusal), ""
-    return judged(estimate, knowledge), declination_hint(estimate, measurements, knowledge)
-
-
 class HeadingCollector:
-    """Collects field samples at headings measured by another device, live or from a recording.
+    """Keeps means of the field at headings measured by another device, live or from a recording.
 
-    `check` compares the headings with the gyro; no sample is taken while they disagree.
+    The number of means for each sector of headings is limited. `check` compares the headings with
+    the gyro; no sample is taken while they disagree.
     """
 
     def __init__(self, up: UpFollower) -> None:
         self._up = up
-        self.check = external_heading.HeadingAgainstGyro()
-        self.log: HeadingLog | None = None
+        self.check = HeadingAgainstGyro()
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
         self._turn = GyroTurn()
+        self._heard, self._metres = math.nan, 0.0
+        self._forward = np.zeros(3)
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the means."""
+        self.kept: list[deque[_DriveMean]] = [deque(maxlen=LOG.each) for _ in range(SECTORS)]
+        """The means by sectors of heading; another list after `forget`."""
+        self._fresh = 0
+        self._block: list[tuple[float, ...]] = []  # stamp, field, up, heading as a direction, turn
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to the stamp (seconds) of an IMU message that `up` has received."""
@@ -381,17 +295,79 @@ class HeadingCollector:
     ) -> bool:
         """Take a field sample; returns whether there are enough new means for a fit.
 
-        `forward` (3,) is the direction in the IMU's axes to which the headings refer. `is_true`
-        says whether they refer to true or to magnetic north; `max_gap` is as in `UpFollower.at`.
+        `forward` (3,) is the direction in the IMU's axes to which the headings refer; the means at
+        another one are discarded. `is_true` says whether they refer to true or to magnetic north;
+        `max_gap` is as in `UpFollower.at`. Means of a sector are one correlation length of the
+        local disturbance apart, by the usual speed of a drive. So a rest gives one mean only.
         """
-        up, heading = self._up.at(sample.stamp, max_gap), self.newest
-        given = ExternalHeading(heading.yaw, heading.sigma, is_true)
-        shift = given.to_magnetic(reference)
-        if up is None or shift is None or sample.stamp - heading.stamp > LOG.block:
+        up, given, stamp = self._up.at(sample.stamp, max_gap), self.newest, sample.stamp
+        shift = reference.to_magnetic(is_true)
+        if up is None or shift is None or stamp - given.stamp > LOG.block:
             return False
         if self.check.fault or not self._up.is_propagated:
             return False
-        if self.log is None or not np.array_equal(self.log.forward, forward):
-            self.log = HeadingLog(forward)
-        values = sample, up.direction, self._up.rate, given, shift, self._up.is_at_rest
-        return self.log.add(*values, self._turn)
+        if not np.array_equal(self._forward, forward):
+            self._forward = forward
+            self.forget()
+        since, self._heard = stamp - self._heard, stamp
+        if since > 0.0 and not self._up.is_at_rest:
+            self._metres += KINDS[ON_WHEELS].speed * since
+        if abs(dot(self._up.rate, up.direction)) > LOG.rate:
+            self._block = []
+            return False
+        if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:
+            self._block = []
+        direction = math.cos(given.yaw), math.sin(given.yaw)
+        self._block.append((stamp, *sample.field, *up.direction, *direction, self._turn.angle))
+        if stamp - self._block[0][0] < LOG.block:
+            return False
+        mean, self._block = np.mean(self._block, axis=0), []
+        measurement = KnownHeadingMeasurement(
+            mean[1:4],
+            STANDARD_GRAVITY * mean[4:7],
+            wrapped(math.atan2(mean[8], mean[7]) + shift),
+            math.hypot(given.sigma, LOG.rate * USUALLY_LATE),
+            by_declination=is_true,
+            forward=forward,
+            force_sigma=LOG.force,
+            common_sigma=LOG.common,
+            drifts=True,
+        )
+        turn = self._turn._replace(angle=float(mean[9]))
+        return self._keep(_DriveMean(stamp, measurement, turn, self._metres))
+
+    def _keep(self, new: _DriveMean) -> bool:
+        share = new.measurement.heading % math.tau / math.tau
+        sector = self.kept[int(share * SECTORS) % SECTORS]
+        if sector and new.metres - sector[-1].metres < STREET_LENGTH:
+            return False
+        sector.append(new)
+        self._fresh += 1
+        if self._fresh < max(LOG.each, len(self.measurements) // 3):
+            return False
+        self._fresh = 0
+        return True
+
+    @property
+    def measurements(self) -> tuple[KnownHeadingMeasurement, ...]:
+        """The kept means in the order of time."""
+        kept = sorted(itertools.chain(*self.kept), key=lambda each: each.stamp)
+        later = (after.after(before) for before, after in itertools.pairwise(kept))
+        return (*(each.measurement for each in kept[:1]), *later)
+
+
+def fit_log(
+    measurements: tuple[KnownHeadingMeasurement, ...],
+    knowledge: Knowledge,
+    place: Size = SIZES["street"],
+) -> tuple[Outcome, str]:
+    """Calibrate from known headings, by default in a drive; returns the outcome and a warning.
+
+    The warning says that the headings seem to refer to the other north; it is empty if not.
+    `place` is the size of the local disturbance.
+    """
+    try:
+        estimate = fit(measurements, knowledge, place)
+    except Refusal as refusal:
+        return Outcome.refused(refusal), ""
+    return judged(estimate, knowledge), declination_hint(estimate, measurements, knowledge)

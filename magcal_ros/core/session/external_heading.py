@@ -16,7 +16,6 @@ from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
-from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import HeadingSample
 from magcal_ros.core.session.session_tuning import KNOWN
@@ -30,10 +29,6 @@ class ExternalHeading:
     yaw: float  # ENU yaw, radians: zero to the east, positive to the left
     sigma: float
     is_true: bool  # whether it refers to true north; otherwise to magnetic north
-
-    def to_magnetic(self, reference: ReferenceField) -> float | None:
-        """Return the angle to add for magnetic north, radians; None if it is not known."""
-        return reference.declination if self.is_true else 0.0
 
 
 def mean_heading(received: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:

@@ -45,12 +45,12 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.at_known_heading import (
     CollectedSamples,
     HeadingCollector,
+    HeadingResult,
     calibrate_at_known_heading,
     fit_log,
 )
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
@@ -214,8 +214,8 @@ def fit_collected(
         outcome = calibrate(window, knowledge, method, progress)
         verdict, slow = outcome.verdict, collector.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
-            verdict = replace(verdict, says=f"{verdict.summary} {slow}.")
-        return replace(outcome, verdict=verdict)
+            return outcome.saying(f"{verdict.summary} {slow}.")
+        return outcome
     if drive is None and method == METHODS[0]:
         drive = calibrate_drive(log, knowledge)
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
@@ -331,18 +331,16 @@ def pairs_at_rest(readings: Iterable[Reading]) -> tuple[Pair, ...]:
 
 def fit_at_headings(
     recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
-) -> tuple[Outcome, str]:
-    """Calibrate from recordings of a robot at rest; returns the outcome and its summary."""
-    measurements: tuple[KnownHeadingMeasurement, ...] = ()
-    outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
+) -> Outcome:
+    """Calibrate from recordings of a robot at rest."""
+    nothing = Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")
+    result = HeadingResult((), Outcome.refused(nothing))
     for pairs, heading in zip(recordings, given, strict=True):
-        result = calibrate_at_known_heading(
-            measurements, CollectedSamples(pairs, heading, knowledge, FORWARD)
-        )
-        measurements, outcome, words = result.measurements, result.outcome, result.words
-        if outcome.calibration is None:
+        collected = CollectedSamples(pairs, heading, knowledge, FORWARD)
+        result = calibrate_at_known_heading(result.measurements, collected)
+        if result.outcome.calibration is None:
             break
-    return outcome, words
+    return result.outcome
 
 
 def fit_heading_topic(
@@ -353,7 +351,7 @@ def fit_heading_topic(
 ) -> Outcome:
     """Calibrate from a recording in which another device measures the heading."""
     reference = knowledge.reference
-    if is_true and reference.declination is None:
+    if reference.to_magnetic(is_true) is None:
         words = (
             "the headings refer to true north, and the declination is not known: give latitude "
             "and longitude"
@@ -374,11 +372,8 @@ def fit_heading_topic(
         if collector.check.fault:
             refusal = Refusal(Reason.HEADING_CONTRADICTED, collector.check.fault)
             return Outcome.refused(refusal)
-    if collector.log is None or not collector.log.measurements:
+    if not collector.measurements:
         words = "no field sample with a gyro came within half a second of a heading"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
-    outcome, north = fit_log(collector.log.measurements, knowledge)
-    if not north:
-        return outcome
-    words = f"{outcome.verdict.summary} But {north}."
-    return replace(outcome, verdict=replace(outcome.verdict, says=words))
+    outcome, north = fit_log(collector.measurements, knowledge)
+    return outcome.saying(f"{outcome.verdict.summary} But {north}.") if north else outcome
