@@ -20,20 +20,22 @@ from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
-from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
+from magcal_ros.core.geometry.rotations import (
+    roll_pitch_between,
+    rotation_angle,
+    rotation_from_rpy,
+)
 from magcal_ros.core.geometry.shapes import SMALLEST, ellipse_ratio
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import SCREENING, check_arc, check_radius, check_window
 from magcal_ros.core.methods.methods_tuning import TIP
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.methods.tip_steps import (
-    Candidate,
     FieldCircle,
     TipSamples,
     TurnAxis,
     derotation,
     find_axis,
-    find_candidates,
     fit_field_circle,
     prepare_samples,
 )
@@ -41,15 +43,27 @@ from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.window import Window
 
 
-@dataclass(frozen=True)
-class AssumedField:
-    """The reference field that the solution uses: as given, or with numbers from the turn."""
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An installation that fits the two normals, with the field of the Earth that belongs to it."""
 
+    roll: float
+    pitch: float  # of the passive rotation Rx(roll) Ry(pitch), radians
+    circle: FieldCircle  # the field's circle with the normal that this installation needs
     strength: float  # tesla
     inclination: float  # radians
-    axial: float  # component along the axis, downwards, tesla
-    basis: str  # what it is derived from, in words
-    axial_unknown: bool = False  # whether the hard iron along the axis is an assumption
+    axial: float  # component of the Earth's field along the axis, downwards, tesla
+    basis: str  # what the Earth's field is derived from, in words
+
+    @property
+    def rotation(self) -> FloatArray:
+        """The installation, shape (3, 3)."""
+        return rotation_from_rpy(self.roll, self.pitch)
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole installation."""
+        return rotation_angle(self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +71,9 @@ class TipSolution:
     """The results of the steps, without covariance."""
 
     samples: TipSamples
-    circle: FieldCircle
     axis: TurnAxis
     chosen: Candidate
     rival: Candidate | None
-    assumed: AssumedField
     correction: Correction
     installation: Installation
 
@@ -76,33 +88,34 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     """
     check_window(window, knowledge)
     solution = solve(window, knowledge)
-    circle, assumed = solution.circle, solution.assumed
+    chosen, axis, reference = solution.chosen, solution.axis, knowledge.reference
+    circle, mounting = chosen.circle, solution.samples.mounting
     arc = Coverage.of(np.angle(circle.phasor)).arc
     check_arc(arc, solved_by_knowledge=True)
-    check_radius(circle.radius / assumed.strength, assumed.inclination, solution.axis.tilt)
+    check_radius(circle.radius / chosen.strength, chosen.inclination, axis.tilt)
+    unknown = np.zeros(PARAMETERS)
+    if reference.strength.is_unknown and reference.inclination.is_unknown:
+        unknown[9:] = TIP.axial_sigma * mounting @ circle.basis[:, 2]
     covariance = jackknife_covariance(
-        lambda part, known: solve(part, known).correction,
-        window,
-        knowledge,
-        unknown=_axial_unknown(solution),
+        lambda part, known: solve(part, known).correction, window, knowledge, unknown
     )
-    residual = solution.chosen.circle.model_error @ solution.samples.mounting.T
+    residual = circle.model_error @ mounting.T
     noise_field = math.sqrt(float((residual**2).sum()) / max(2 * len(window) - 6, 1))
     return Estimate(
         method="design_tip",
         correction=solution.correction,
         covariance=covariance,
         installation=solution.installation,
-        axis=-FRD_FROM_FLU @ solution.axis.direction,
+        axis=-FRD_FROM_FLU @ axis.direction,
         arc=arc,
-        strength=assumed.strength,
-        inclination=assumed.inclination,
+        strength=chosen.strength,
+        inclination=chosen.inclination,
         noise_field=noise_field,
-        noise_up=solution.axis.noise,
+        noise_up=axis.noise,
         inliers=np.ones(len(window), dtype=np.bool_),
         residual=residual,
-        figures=measure_figures(solution, noise_field),
-        message=f"closed form; {assumed.basis}",
+        figures=_figures(solution, noise_field),
+        message=f"closed form; {chosen.basis}",
     )
 
 
@@ -111,34 +124,24 @@ def solve(window: Window, knowledge: Knowledge) -> TipSolution:
     samples = prepare_samples(window, knowledge.mounting)
     circle = fit_field_circle(samples)
     axis = find_axis(samples, circle)
-    chosen, rival, assumed = _choose(samples, axis, circle, knowledge.reference)
-    iron = chosen.circle.centre - assumed.axial * chosen.circle.normal
+    chosen, rival = _choose(find_candidates(samples, axis, circle, knowledge.reference))
     # The tip's rotation is passive in forward-right-down axes: its pitch has the other sign.
     installation = Installation(chosen.roll, -chosen.pitch)
+    iron = chosen.circle.basis @ (chosen.circle.middle - np.array([0.0, 0.0, chosen.axial]))
     matrix = installation.pose @ knowledge.mounting.to_body
     correction = Correction(matrix, samples.mounting @ iron)
-    return TipSolution(samples, circle, axis, chosen, rival, assumed, correction, installation)
+    return TipSolution(samples, axis, chosen, rival, correction, installation)
 
 
-def _choose(
-    samples: TipSamples, axis: TurnAxis, circle: FieldCircle, reference: ReferenceField
-) -> tuple[Candidate, Candidate | None, AssumedField]:
-    """Choose the smallest installation among those that fit the reference field."""
-    candidates = find_candidates(samples, axis, circle)
-    assumed = [assumed_field(reference, candidate, axis) for candidate in candidates]
+def _choose(candidates: list[Candidate]) -> tuple[Candidate, Candidate | None]:
+    """Choose the smallest installation among those that fit the reference field, and a rival."""
     misfit = np.array(
-        [
-            abs(math.hypot(candidate.circle.radius, field.axial) / field.strength - 1.0)
-            for candidate, field in zip(candidates, assumed, strict=True)
-        ]
+        [abs(math.hypot(c.circle.radius, c.axial) / c.strength - 1.0) for c in candidates]
     )
-    fitting = np.flatnonzero(misfit <= misfit.min() + TIP.strength_margin)
-    first = int(fitting[0])
-    chosen = candidates[first]
-    others = candidates[:first] + candidates[first + 1 :]
-    own = rotation_from_rpy(chosen.roll, chosen.pitch)
-    for rival in (candidates[int(index)] for index in fitting[1:]):
-        apart = rotation_angle(own @ rotation_from_rpy(rival.roll, rival.pitch).T)
+    first, *fitting = np.flatnonzero(misfit <= misfit.min() + TIP.strength_margin)
+    chosen, others = candidates[first], candidates[:first] + candidates[first + 1 :]
+    for rival in (candidates[index] for index in fitting):
+        apart = rotation_angle(chosen.rotation @ rival.rotation.T)
         is_same_size = rival.angle - chosen.angle < TIP.rival_margin
         if is_same_size and apart > SCREENING.widest_rival:
             raise Refusal(
@@ -146,34 +149,26 @@ def _choose(
                 "Two equally large rotations of the magnetometer explain this turn. Turn about "
                 "an axis nearer to the vertical, or give the nominal mounting.",
             )
-    return chosen, (others[0] if others else None), assumed[first]
+    return chosen, others[0] if others else None
 
 
-def _axial_unknown(solution: TipSolution) -> FloatArray:
-    unknown = np.zeros(PARAMETERS)
-    if solution.assumed.axial_unknown:
-        along = solution.samples.mounting @ solution.chosen.circle.normal
-        unknown[9:] = TIP.axial_sigma * along
-    return unknown
-
-
-def measure_figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
+def _figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
     """Return the figures of a solution; `noise_field` is in tesla per axis."""
     samples, axis, chosen = solution.samples, solution.axis, solution.chosen
-    rival, assumed, circle = solution.rival, solution.assumed, chosen.circle
+    rival, circle = solution.rival, chosen.circle
     figures = {
         Figure.ACCELEROMETER_SPREAD: _spread(samples.down, axis.noise, SMALLEST),
-        Figure.FIELD_SPREAD: _spread(samples.field, noise_field, SMALLEST * assumed.strength),
+        Figure.FIELD_SPREAD: _spread(samples.field, noise_field, SMALLEST * chosen.strength),
         Figure.CIRCLE_RADIUS: circle.radius,
         Figure.AXIS_TILT: axis.tilt,
-        Figure.AXIAL_FIELD: assumed.axial,
-        Figure.AXIAL_HARD_IRON: circle.height - assumed.axial,
+        Figure.AXIAL_FIELD: chosen.axial,
+        Figure.AXIAL_HARD_IRON: float(circle.middle[2]) - chosen.axial,
         Figure.INSTALLATION_ANGLE: chosen.angle,
     }
     down = samples.down @ derotation(axis.direction)
     figures |= along("accelerometer_range", np.ptp(down, axis=0))
     figures |= along("field_range", np.ptp(samples.field @ circle.basis, axis=0))
-    expected = assumed.strength**2 - assumed.axial**2
+    expected = chosen.strength**2 - chosen.axial**2
     if expected > 0.0:
         figures[Figure.RADIUS_RATIO] = circle.radius / math.sqrt(expected)
     ratio = ellipse_ratio(np.column_stack([circle.phasor.real, circle.phasor.imag]))
@@ -193,8 +188,40 @@ def _spread(cloud: FloatArray, noise: float, least_noise: float) -> float:
     return float(distance / (6.0 * max(noise, least_noise)))
 
 
-def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> AssumedField:
-    """Return the reference field with its axial component, from the known numbers.
+def find_candidates(
+    samples: TipSamples, axis: TurnAxis, circle: FieldCircle, reference: ReferenceField
+) -> list[Candidate]:
+    """Return every installation that fits, at least one, the smallest first.
+
+    The field turns about its normal in the same sense as gravity about the axis. If neither gravity
+    nor a gyro shows this sense, both normals are tried. Raises `Refusal` if none fits, if the pitch
+    is not observable, or if gravity and gyro contradict each other.
+    """
+    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TIP.smallest_lever:
+        raise Refusal(
+            Reason.AMBIGUOUS,
+            "The robot turned about the IMU's y axis, which does not show the magnetometer's "
+            "pitch. Give the mounting in the robot's frame, so that the turn is about its z axis.",
+        )
+    sense = _sense(samples, axis, circle)
+    circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
+    both = [
+        (c, r, p) for c in circles for r, p in roll_pitch_between(axis.direction, c.basis[:, 2])
+    ]
+    if not both:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "No roll and pitch of the magnetometer explain the turn. Check that the accelerometer "
+            "and the magnetometer are on the same body and that their axes are right-handed.",
+        )
+    found = [_candidate(reference, axis, *each) for each in both]
+    return sorted(found, key=lambda candidate: candidate.angle)
+
+
+def _candidate(
+    reference: ReferenceField, axis: TurnAxis, circle: FieldCircle, roll: float, pitch: float
+) -> Candidate:
+    """Return an installation with the field of the Earth, from the known numbers.
 
     The product of gravity and field is the strength times the sine of the inclination, in the world
     as in the body: c k + d = B sin(i). Here c is the cosine between axis and vertical, k the field
@@ -202,8 +229,9 @@ def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxi
     start facing north on level ground. Raises `Refusal` if the circle contradicts the reference.
     """
     strength, inclination = reference.strength, reference.inclination
-    radius, height = candidate.circle.radius, candidate.circle.height
-    across, cosine = candidate.gravity_dot_field, axis.axial_gravity
+    radius, height, cosine = circle.radius, float(circle.middle[2]), axis.axial_gravity
+    product = axis.across * (circle.offsets @ rotation_from_rpy(roll, pitch).T)
+    across = float(np.sum(product, axis=1).mean())
     if not inclination.is_unknown:
         sine, sizes = math.sin(inclination.value), [strength.value]
         basis = "strength and inclination as given"
@@ -212,7 +240,7 @@ def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxi
             basis = "inclination as given, strength from the circle's radius"
         fields = [(size, (size * sine - across) / cosine) for size in sizes]
         size, axial = min(fields, key=lambda field: abs(height - field[1]))
-        return AssumedField(size, inclination.value, axial, basis)
+        return Candidate(roll, pitch, circle, size, inclination.value, axial, basis)
     axial = height
     basis = "neither strength nor inclination is known: no hard iron along the axis is assumed"
     if not strength.is_unknown:
@@ -222,7 +250,7 @@ def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxi
         basis = "strength as given, inclination from the circle's radius and the smaller hard iron"
     size = math.hypot(radius, axial)
     vertical = max(-1.0, min(1.0, (cosine * axial + across) / size))
-    return AssumedField(size, math.asin(vertical), axial, basis, strength.is_unknown)
+    return Candidate(roll, pitch, circle, size, math.asin(vertical), axial, basis)
 
 
 def _strengths(sine: float, cosine: float, across: float, radius: float) -> list[float]:
@@ -244,3 +272,40 @@ def _contradiction(known: str) -> Refusal:
         f"The circle's radius contradicts the {known} of the reference field. Check the "
         "reference, the field's unit (tesla) and the soft-iron gains.",
     )
+
+
+def _sense(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    by_gravity = _sense_by_gravity(axis, circle)
+    by_gyro = _sense_by_gyro(samples, axis, circle)
+    if by_gravity * by_gyro < 0:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "Gyro and gravity turn in opposite senses. Check the axes and signs of the gyro.",
+        )
+    return by_gravity or by_gyro
+
+
+def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
+    first, second = np.linalg.svd(axis.direction[None, :])[2][1:]
+    second = second * float(np.cross(first, second) @ axis.direction)
+    gravity = axis.across @ first + 1j * (axis.across @ second)
+    field = circle.phasor / np.abs(circle.phasor).mean()
+    same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
+    standard_error = max(axis.noise, SMALLEST) / math.sqrt(len(field))
+    if abs(same - opposite) < TIP.clear_sense * standard_error:
+        return 0
+    return 1 if same > opposite else -1
+
+
+def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    if samples.turned is None:
+        return 0
+    # A field fixed in the world turns backwards in the body. Sines, because the field does not show
+    # the sense of a step of half a turn during a gap.
+    expected = np.sin(-(samples.turned @ axis.direction))
+    seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
+    power = float(expected @ expected)
+    slope = float(expected @ seen) / power if power > 0.0 else 0.0
+    if abs(slope) < TIP.least_gyro_agreement:
+        return 0
+    return 1 if slope > 0.0 else -1

@@ -14,10 +14,11 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.shapes import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.methods_tuning import CLOUD, ELLIPSOID
-from magcal_ros.core.methods.tumbling import Shape, finish, nominal_field, on_unit_sphere
+from magcal_ros.core.methods.tumbling import Shape, finish, on_unit_sphere
 from magcal_ros.core.samples.window import Window
 
 
@@ -44,7 +45,7 @@ def fit(
     """
     remedy = "Tumble again away from iron and moving loads."
     return finish(
-        lambda part, known: solve(part, known, options),
+        lambda nominal: solve(nominal, options),
         window,
         knowledge,
         method="ellipsoid",
@@ -53,9 +54,8 @@ def fit(
     )
 
 
-def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
+def solve(nominal: FloatArray, options: Options) -> Shape:
     """Fit the ellipsoid without outliers. Raises `Refusal` if there is none of a possible shape."""
-    nominal = nominal_field(window, knowledge)
     ellipsoid = fit_quadric(nominal, options.shape)
     kept = np.ones(len(nominal), dtype=np.bool_)
     for _ in range(CLOUD.rounds):
@@ -65,11 +65,6 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
             break
         kept = accepted
         ellipsoid = fit_quadric(nominal[kept], options.shape)
-    _refuse_flattened(ellipsoid)
-    return Shape(ellipsoid.centre, ellipsoid.to_unit_sphere, ellipsoid.radius, _figures(ellipsoid))
-
-
-def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
     if ellipsoid.ratio > ELLIPSOID.largest_ratio:
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -77,6 +72,7 @@ def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
             "little of it was seen, or iron touches the sensor. Tumble the sensor through all "
             "orientations, and move it away from iron.",
         )
+    return Shape(ellipsoid.centre, ellipsoid.to_unit_sphere, ellipsoid.radius, _figures(ellipsoid))
 
 
 def _figures(ellipsoid: Ellipsoid) -> dict[Figure, float]:

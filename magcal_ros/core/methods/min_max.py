@@ -18,7 +18,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.methods_tuning import CLOUD, MIN_MAX
-from magcal_ros.core.methods.tumbling import Shape, finish, nominal_field, on_unit_sphere
+from magcal_ros.core.methods.tumbling import Shape, finish, on_unit_sphere
 from magcal_ros.core.samples.window import Window
 
 
@@ -46,7 +46,7 @@ def fit(
     if not options.robust:
         remedy = "Use the robust variant if single samples are off, or fit a rotated ellipsoid."
     return finish(
-        lambda part, known: solve(part, known, options),
+        lambda nominal: solve(nominal, options),
         window,
         knowledge,
         method="min_max",
@@ -55,9 +55,8 @@ def fit(
     )
 
 
-def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
+def solve(nominal: FloatArray, options: Options) -> Shape:
     """Return offset and scale of each axis. Raises `Refusal` if the range of an axis is small."""
-    nominal = nominal_field(window, knowledge)
     kept = (
         samples_on_ellipsoid(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
     )

@@ -1,4 +1,4 @@
-"""The geometric steps of the ST design tip: frame, circle of the field, axis, installation.
+"""The geometric steps of the ST design tip: frame, circle of the field, axis.
 
 Inside, axes are forward-right-down and gravity reads +1 downwards. A passive tip rotation
 Rx(roll) Ry(pitch) is the installation of a URDF with the same roll and the opposite pitch.
@@ -14,11 +14,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, trapezoids
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
-from magcal_ros.core.geometry.rotations import (
-    roll_pitch_between,
-    rotation_angle,
-    rotation_from_rpy,
-)
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.shapes import SMALLEST, Plane, fit_circle, fit_plane
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.methods.methods_tuning import TIP
@@ -65,21 +61,6 @@ class FieldCircle:
     """Samples relative to the centre, in the plane, tesla. Shape (n,)."""
     middle: FloatArray  # the centre in the axes of `basis`, tesla. Shape (3,).
     radius: float  # tesla
-
-    @property
-    def normal(self) -> FloatArray:
-        """The normal in sensor axes, unit, shape (3,)."""
-        return self.basis[:, 2]
-
-    @property
-    def height(self) -> float:
-        """Distance of the plane from the origin along the normal, tesla."""
-        return float(self.middle[2])
-
-    @property
-    def centre(self) -> FloatArray:
-        """The centre in sensor axes, shape (3,), tesla."""
-        return np.asarray(self.basis @ self.middle)
 
     @property
     def model_error(self) -> FloatArray:
@@ -210,84 +191,3 @@ def _horizontal() -> Refusal:
         "The robot turned about a nearly horizontal axis. Turn about an axis within 75° of the "
         "vertical, best on the wheels.",
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One installation that fits the two normals, as a rotation of the tip."""
-
-    roll: float
-    pitch: float  # of the passive rotation Rx(roll) Ry(pitch), radians
-    circle: FieldCircle  # the field's circle with the normal that this installation needs
-    gravity_dot_field: float  # mean product of gravity and field across the axis, tesla
-
-    @property
-    def angle(self) -> float:
-        """Radians of the whole installation."""
-        return rotation_angle(rotation_from_rpy(self.roll, self.pitch))
-
-
-def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> list[Candidate]:
-    """Return every installation that fits, at least one, the smallest first.
-
-    The field turns about its normal in the same sense as gravity about the axis. If neither gravity
-    nor a gyro shows this sense, both normals are tried. Raises `Refusal` if none fits, if the pitch
-    is not observable, or if gravity and gyro contradict each other.
-    """
-    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TIP.smallest_lever:
-        raise Refusal(
-            Reason.AMBIGUOUS,
-            "The robot turned about the IMU's y axis, which does not show the magnetometer's "
-            "pitch. Give the mounting in the robot's frame, so that the turn is about its z axis.",
-        )
-    sense = _sense(samples, axis, circle)
-    circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
-    found = []
-    for c in circles:
-        for roll, pitch in roll_pitch_between(axis.direction, c.normal):
-            product = axis.across * (c.offsets @ rotation_from_rpy(roll, pitch).T)
-            found.append(Candidate(roll, pitch, c, float(np.sum(product, axis=1).mean())))
-    if not found:
-        raise Refusal(
-            Reason.NO_SOLUTION,
-            "No roll and pitch of the magnetometer explain the turn. Check that the accelerometer "
-            "and the magnetometer are on the same body and that their axes are right-handed.",
-        )
-    return sorted(found, key=lambda candidate: candidate.angle)
-
-
-def _sense(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
-    by_gravity = _sense_by_gravity(axis, circle)
-    by_gyro = _sense_by_gyro(samples, axis, circle)
-    if by_gravity * by_gyro < 0:
-        raise Refusal(
-            Reason.AXES_DISAGREE,
-            "Gyro and gravity turn in opposite senses. Check the axes and signs of the gyro.",
-        )
-    return by_gravity or by_gyro
-
-
-def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
-    first, second = np.linalg.svd(axis.direction[None, :])[2][1:]
-    second = second * float(np.cross(first, second) @ axis.direction)
-    gravity = axis.across @ first + 1j * (axis.across @ second)
-    field = circle.phasor / np.abs(circle.phasor).mean()
-    same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
-    standard_error = max(axis.noise, SMALLEST) / math.sqrt(len(field))
-    if abs(same - opposite) < TIP.clear_sense * standard_error:
-        return 0
-    return 1 if same > opposite else -1
-
-
-def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
-    if samples.turned is None:
-        return 0
-    # A field fixed in the world turns backwards in the body. Sines, because the field does not show
-    # the sense of a step of half a turn during a gap.
-    expected = np.sin(-(samples.turned @ axis.direction))
-    seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
-    power = float(expected @ expected)
-    slope = float(expected @ seen) / power if power > 0.0 else 0.0
-    if abs(slope) < TIP.least_gyro_agreement:
-        return 0
-    return 1 if slope > 0.0 else -1

@@ -55,7 +55,8 @@ class Shape:
         return Correction(size * self.to_unit @ np.linalg.inv(mounting), mounting @ self.centre)
 
 
-Solve = Callable[[Window, Knowledge], Shape]
+Solve = Callable[[FloatArray], Shape]
+"""Fits a shape to the field in nominal body axes without known gains (n, 3), tesla."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +69,6 @@ class MountingRotation:
     Shape (3,)."""
     covariance: FloatArray  # of `rotation`, rad². Shape (3, 3).
     scatter: float  # residual standard deviation of the cosine
-
-    @property
-    def angle(self) -> float:
-        """Radians of the whole rotation."""
-        return float(np.linalg.norm(self.rotation))
 
     def covariance_of(self, matrix: FloatArray) -> FloatArray:
         """Return the covariance (12, 12) that the ignored rotation adds to that of A (3, 3)."""
@@ -110,11 +106,6 @@ def _inefficiency(design: FloatArray, residual: FloatArray) -> float:
     pieces = np.array([piece.sum(axis=0) for piece in np.array_split(scores, 16)])
     single = np.maximum((scores**2).sum(axis=0), 1e-300)
     return max(1.0, float(np.mean((pieces**2).sum(axis=0) / single)))
-
-
-def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
-    """Return the field (n, 3) in nominal body axes without known gains, tesla."""
-    return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 
 def _refuse_flat(nominal: FloatArray) -> None:
@@ -167,22 +158,28 @@ def finish(
     `least_extent` in every direction; `remedy` is what to do if the samples are not on a sphere.
     Raises `Refusal` if the samples do not determine one.
     """
-    nominal = nominal_field(window, knowledge)
+    nominal = window.field @ knowledge.mounting.to_body.T
     refuse_empty(window, CLOUD.fewest_samples)
     _refuse_flat(nominal)
-    shape = solve(window, knowledge)
+    shape = solve(nominal)
     points = shape.on_sphere(nominal)
     inliers = on_unit_sphere(np.linalg.norm(points, axis=1))
     extent = _refuse_no_sphere(points[inliers], least_extent, remedy)
     correction = shape.correction(knowledge)
     covariance = jackknife_covariance(
-        lambda part, known: solve(part, known).correction(known), window, knowledge
+        lambda part, known: solve(part.field @ known.mounting.to_body.T).correction(known),
+        window,
+        knowledge,
     )
     up = unit(window.specific_force[inliers])
     mounting = estimate_mounting(unit(points[inliers]), up)
     strength = strength_of(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
+    figures = {**shape.figures, Figure.SPHERE_EXTENT: 0.5 * extent}
+    figures[Figure.MISALIGNMENT] = float(np.linalg.norm(mounting.rotation))
+    if not knowledge.reference.strength.is_unknown:
+        figures[Figure.RADIUS_RATIO] = shape.radius / strength
     noise = math.sqrt(float((residual[inliers] ** 2).sum()) / max(int(inliers.sum()) - 9, 1))
     return Estimate(
         method=method,
@@ -198,20 +195,9 @@ def finish(
         noise_up=mounting.scatter / max(math.cos(inclination), CLOUD.least_level_share),
         inliers=inliers,
         residual=residual,
-        figures=_figures(shape, extent, mounting, knowledge),
+        figures=figures,
         message="closed form; the magnetometer's axes were assumed to be the IMU's",
     )
-
-
-def _figures(
-    shape: Shape, extent: float, mounting: MountingRotation, knowledge: Knowledge
-) -> dict[Figure, float]:
-    """Return the method's figures, the extent seen, and deviations from reference and gravity."""
-    figures = {**shape.figures, Figure.SPHERE_EXTENT: 0.5 * extent}
-    figures[Figure.MISALIGNMENT] = mounting.angle
-    if not knowledge.reference.strength.is_unknown:
-        figures[Figure.RADIUS_RATIO] = shape.radius / strength_of(shape, knowledge)
-    return figures
 
 
 def _refuse_no_sphere(points: FloatArray, least: float, remedy: str) -> float:
