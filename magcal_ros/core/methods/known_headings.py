@@ -18,10 +18,11 @@ from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
     KnownHeadingMeasurement,
+    KnownHeadingModel,
     agreement_of,
     fit_headings,
-    sigma_with,
 )
+from magcal_ros.core.smoother.posterior import posterior_at
 from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, ROLL_PITCH, YAW, Size
 
 METHOD = "known_headings"
@@ -69,7 +70,9 @@ def fit(
     except np.linalg.LinAlgError:
         words = "the samples do not determine a calibration; stand at another known heading"
         raise Refusal(Reason.NO_SOLUTION, words) from None
-    _refuse_contradiction(found.agreement, measurements, knowledge, place)
+    words = _contradiction(found.agreement, measurements, knowledge, place)
+    if words:
+        raise Refusal(Reason.HEADING_CONTRADICTED, words)
     shared, posterior = found.state.shared, found.posterior
     roll, pitch = shared[ROLL_PITCH]
     count = len(measurements)
@@ -98,86 +101,65 @@ def fit(
     )
 
 
-def _refuse_contradiction(
-    agreement: HeadingAgreement,
-    measurements: Sequence[KnownHeadingMeasurement],
-    knowledge: Knowledge,
-    place: Size,
-) -> None:
-    """Refuse headings that field and gyro contradict, and name the likely mistake."""
-    if not agreement.freedom:
-        return
-    rivals = _rivals(measurements, knowledge, place)
-    words = min(rivals, key=lambda each: rivals[each].cost)
-    best = rivals[words]
-    is_likelier = agreement.cost - best.cost > -2.0 * math.log(CONTRADICTION.chance)
-    if is_likelier and best.chance > CONTRADICTION.chance:
-        raise Refusal(
-            Reason.HEADING_CONTRADICTED,
-            f"The known headings contradict the field: {words}. Corrected so, they agree.",
-        )
-    if agreement.chance < CONTRADICTION.chance:
-        raise Refusal(
-            Reason.HEADING_CONTRADICTED, _contradiction(agreement, measurements, knowledge, place)
-        )
-
-
-def _rivals(
-    measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge, place: Size
-) -> dict[str, HeadingAgreement]:
-    """Return the agreement of other interpretations of the headings, by their words."""
-    found = {}
-    norths = [_shift(each, knowledge) for each in measurements]
-    pairs = list(zip(measurements, norths, strict=True))
-    magnetic = [wrapped(each.heading - north) for each, north in pairs]
-    for words, (factor, shift) in READINGS.items():
-        yaws = [factor * yaw for yaw in magnetic]
-        # No yaw in radians is beyond half a turn.
-        if max(map(abs, yaws)) <= math.pi:
-            read = [
-                replace(each, heading=wrapped(yaw + shift + north))
-                for (each, north), yaw in zip(pairs, yaws, strict=True)
-            ]
-            found[words] = agreement_of(read, knowledge, place)
-    return found
-
-
-def _shift(measurement: KnownHeadingMeasurement, knowledge: Knowledge) -> float:
-    """Return a heading to magnetic north minus the given one, radians."""
-    return (knowledge.reference.declination or 0.0) if measurement.by_declination else 0.0
-
-
-def _as_given(measurement: KnownHeadingMeasurement, knowledge: Knowledge) -> str:
-    """Return a heading as it was given, in words."""
-    given = wrapped(measurement.heading - _shift(measurement, knowledge)) * DEGREES
-    return f"{given:.0f}° to {'true' if measurement.by_declination else 'magnetic'} north"
-
-
 def _contradiction(
     agreement: HeadingAgreement,
     measurements: Sequence[KnownHeadingMeasurement],
     knowledge: Knowledge,
     place: Size,
 ) -> str:
-    """Say which heading contradicts the others; if none stands out, that they disagree."""
-    count = len(measurements)
+    """Say how field and gyro contradict the headings, with the likely mistake; empty if not."""
+    if not agreement.freedom:
+        return ""
+    count, reference = len(measurements), knowledge.reference
+    norths = [reference.to_magnetic(each.by_declination) or 0.0 for each in measurements]
+    rivals = {
+        words: agreement_of(read, knowledge, place)
+        for words, read in _other_readings(measurements, norths).items()
+    }
+    words = min(rivals, key=lambda each: rivals[each].cost)
+    is_likelier = agreement.cost - rivals[words].cost > -2.0 * math.log(CONTRADICTION.chance)
+    if is_likelier and rivals[words].chance > CONTRADICTION.chance:
+        return f"The known headings contradict the field: {words}. Corrected so, they agree."
+    if agreement.chance >= CONTRADICTION.chance:
+        return ""
     apart = [replace(each, turned_sigma=math.inf) for each in measurements]
-    alone = agreement_of(apart, knowledge, place)
-    if alone.chance > CONTRADICTION.chance:
+    if agreement_of(apart, knowledge, place).chance > CONTRADICTION.chance:
         return _by_gyro(measurements)
     if 2 < count <= MOST_SEARCHED:
         found = [agreement_of(_without(measurements, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
         if found[k].chance > CONTRADICTION.chance:
+            odd = measurements[k]
+            given = wrapped(odd.heading - norths[k]) * DEGREES
             return (
-                f"Known heading {k + 1} of {count} ({_as_given(measurements[k], knowledge)}) "
-                "contradicts the others, by the field: check that it was typed correctly, and "
-                "that no iron stood beside the robot there."
+                f"Known heading {k + 1} of {count} ({given:.0f}° to "
+                f"{'true' if odd.by_declination else 'magnetic'} north) contradicts the others, by "
+                "the field: check that it was typed correctly, and that no iron stood beside the "
+                "robot there."
             )
     return (
         f"The known headings contradict the field by {agreement.times:.1f} times what their "
         "sigmas explain: check headings and sigmas, and stand away from iron."
     )
+
+
+def _other_readings(
+    measurements: Sequence[KnownHeadingMeasurement], norths: Sequence[float]
+) -> dict[str, list[KnownHeadingMeasurement]]:
+    """Return other interpretations of headings, by their words.
+
+    `norths` are the headings to magnetic north minus the given ones, radians.
+    """
+    found, pairs = {}, list(zip(measurements, norths, strict=True))
+    for words, (factor, shift) in READINGS.items():
+        yaws = [factor * wrapped(each.heading - north) for each, north in pairs]
+        # No yaw in radians is beyond half a turn.
+        if max(map(abs, yaws)) <= math.pi:
+            found[words] = [
+                replace(each, heading=wrapped(yaw + shift + north))
+                for (each, north), yaw in zip(pairs, yaws, strict=True)
+            ]
+    return found
 
 
 def _by_gyro(measurements: Sequence[KnownHeadingMeasurement]) -> str:
@@ -239,16 +221,25 @@ def declination_hint(
     )
 
 
-def next_heading(
-    measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
-) -> tuple[float, float]:
-    """Return the most informative further heading, and the compass's sigma with it, radians.
+def next_in_words(measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge) -> str:
+    """Return the most informative further heading, and the sigma of the compass with it, in words.
 
-    The heading is that of the last measurement's `forward`, to magnetic north.
+    The next measurement is assumed to have the sigma and `forward` of the last one.
     """
-    found = fit_headings(measurements, knowledge)
-    last = measurements[-1].heading
-    headings = [wrapped(last + k * 0.5 * QUARTER) for k in range(1, 8)]
-    sigmas = [sigma_with(found, measurements, knowledge, heading) for heading in headings]
-    best = int(np.argmin(sigmas))
-    return headings[best], sigmas[best]
+    shared, last = fit_headings(measurements, knowledge).state.shared, measurements[-1]
+    sigmas = {}
+    for shift in (k * 0.5 * QUARTER for k in range(1, 8)):
+        heading = wrapped(last.heading + shift)
+        new = replace(last, heading=heading, turned_sigma=math.inf, distance=math.inf)
+        model = KnownHeadingModel.of([*measurements, new], knowledge)
+        # The covariance does not depend on the new field.
+        state = replace(model.start, shared=shared)
+        known = model.optimum(DISTURBANCE_AT_REST.rms, state, rounds=0).covariance
+        sigmas[heading] = posterior_at(state, known, knowledge.mounting.matrix).heading_sigma
+    best = min(sigmas, key=lambda heading: sigmas[heading])
+    way = wrapped(best - last.heading) * DEGREES
+    side = "" if abs(way) > 179.0 else " to the left" if way > 0.0 else " to the right"
+    return (
+        f"One more known heading, {abs(way):.0f}°{side} of this one, would give "
+        f"±{sigmas[best] * DEGREES:.1f}°"
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import CLEAR, STREET_LENGTH, Knowledge, ReferenceField
-from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
+from magcal_ros.core.methods.known_headings import declination_hint, fit, next_in_words
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session.external_heading import (
@@ -165,7 +164,7 @@ def add_known_heading(
     if outcome.calibration is None:
         return _refused(before, outcome)
     applies = outcome.verdict.accepted
-    words = [outcome.verdict.summary, north, _next_in_words(measurements, knowledge)]
+    words = [outcome.verdict.summary, north, next_in_words(measurements, knowledge)]
     if applies and other is not None:
         own, theirs = (calibration_sigma(each) for each in (outcome.calibration, other))
         if theirs < own:
@@ -216,17 +215,6 @@ def _contradicted(gap: float, sigma: float) -> str:
         "be usual. Check the sign of the heading, that zero is east, and which north it refers "
         "to. If the heading is right, the calibration is out of date or the sensor was turned: "
         "call ~/reset, and then this service again"
-    )
-
-
-def _next_in_words(measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge) -> str:
-    """Return the best next known heading and the accuracy to expect, in words."""
-    heading, sigma = next_heading(measurements, knowledge)
-    shift = wrapped(heading - measurements[-1].heading) * DEGREES
-    side = "" if abs(shift) > 179.0 else " to the left" if shift > 0.0 else " to the right"
-    return (
-        f"One more known heading, {abs(shift):.0f}°{side} of this one, would give "
-        f"±{sigma * DEGREES:.1f}°"
     )
 
 

@@ -367,22 +367,3 @@ def _agreement(
     turns = np.isfinite(model.columns["turned_sigma"][1:])
     freedom = 3 * len(model.common) - 3 + int(turns.sum())
     return HeadingAgreement(usual.cost, usual.misfit, large.misfit, freedom)
-
-
-def sigma_with(
-    fit: HeadingFit,
-    measurements: Sequence[KnownHeadingMeasurement],
-    knowledge: Knowledge,
-    heading: float,
-) -> float:
-    """Return the sigma of the heading on the level after one more measurement, radians.
-
-    `fit` is the fit of the measurements so far. The next one has `heading`, radians to magnetic
-    north, and the sigma of the last one.
-    """
-    last = replace(measurements[-1], heading=heading, turned_sigma=math.inf, distance=math.inf)
-    more = KnownHeadingModel.of([*measurements, last], knowledge)
-    # The covariance does not depend on the new field.
-    state = replace(more.start, shared=fit.state.shared)
-    found = more.optimum(DISTURBANCE_AT_REST.rms, state, rounds=0)
-    return posterior_at(state, found.covariance, knowledge.mounting.matrix).heading_sigma
