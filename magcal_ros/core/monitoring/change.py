@@ -128,22 +128,11 @@ def check_beside_chance(
         left = f"{shown(excess * bound.scale)}{bound.unit} are left, by squares"
         note = f", more than the {shown(seen)}{bound.unit} that chance explains: {left}"
         note = ", no more than chance explains" if chance >= figure else note
-    check = bound.check(figure, excess=excess, note=note, before=before, rule=rule_of(bound))
+    good, warn = (f"{limit:g}{bound.unit}" for limit in (bound.good, bound.warn))
+    rule = f"doubtful beyond {good}, stale beyond {warn}"
+    check = bound.check(figure, excess=excess, note=note, before=before, rule=rule)
     is_small = figure * bound.scale <= bound.good
     if is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
-    return doubtful(check)
-
-
-def rule_of(bound: Bound) -> str:
-    """Return the limits of doubtful and stale in words; empty if larger figures are better."""
-    if bound.at_least:
-        return ""
-    unit = bound.unit
-    return f"doubtful beyond {bound.good:g}{unit}, stale beyond {bound.warn:g}{unit}"
-
-
-def doubtful(check: Check) -> Check:
-    """Return a check that is too uncertain to say stale."""
     words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
     return replace(check, grade=Grade.WARN, words=words, is_judged=False)

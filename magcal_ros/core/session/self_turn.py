@@ -109,9 +109,23 @@ class SelfTurn:
             return ControlStep(0.0)
         if isinstance(stage, TurnRequest):
             return self._wait(stage, now, conditions)
-        if isinstance(stage, TurnInProgress):
-            return self._lead(stage, now, since, progress, conditions)
-        return ControlStep()
+        if stage is None:
+            return ControlStep()
+        plan, monitor = stage.plan, stage.monitor
+        measured, commanded = monitor.measured(progress), plan.command
+        rate = plan.step(now, measured)
+        objection = self._objection(stage, now, since, conditions) or plan.objection(measured)
+        if objection:
+            return self.abort(objection)
+        if plan.is_late(now):
+            words = "the robot did not complete its turn in time"
+            return ControlStep(self.stop().rate, ended=words)
+        if plan.fault is not None:
+            return self.abort(monitor.explain(plan.fault, measured, commanded))
+        if plan.phase is Phase.ENDED:
+            words = "" if measured.is_complete else "the robot has turned once each way"
+            return ControlStep(self.stop().rate, ended=words)
+        return ControlStep(rate)
 
     def stop(self) -> ControlStep:
         """Stop the robot."""
@@ -147,30 +161,6 @@ class SelfTurn:
             return self.abort(UNGUARDED)
         return ControlStep()
 
-    def _lead(
-        self,
-        stage: TurnInProgress,
-        now: float,
-        since: float,
-        progress: Progress,
-        conditions: TurnConditions,
-    ) -> ControlStep:
-        plan, monitor = stage.plan, stage.monitor
-        measured, commanded = monitor.measured(progress), plan.command
-        rate = plan.step(now, measured)
-        objection = self._objection(stage, now, since, conditions) or plan.objection(measured)
-        if objection:
-            return self.abort(objection)
-        if plan.is_late(now):
-            words = "the robot did not complete its turn in time"
-            return ControlStep(self.stop().rate, ended=words)
-        if plan.fault is not None:
-            return self.abort(monitor.explain(plan.fault, measured, commanded))
-        if plan.phase is Phase.ENDED:
-            words = "" if measured.is_complete else "the robot has turned once each way"
-            return ControlStep(self.stop().rate, ended=words)
-        return ControlStep(rate)
-
     def _objection(
         self, stage: TurnInProgress, now: float, since: float, conditions: TurnConditions
     ) -> str:
@@ -184,9 +174,6 @@ class SelfTurn:
             return "rotate.enabled was switched off"
         if not conditions.is_guarded:
             return GUARD_GONE
-        return self._silence(stage, now, conditions) or stage.monitor.objection()
-
-    def _silence(self, stage: TurnInProgress, now: float, conditions: TurnConditions) -> str:
         is_pausing = stage.plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > SELF_TURN.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
@@ -205,4 +192,4 @@ class SelfTurn:
             )
         if is_unpaired:
             return "no new pair of field and acceleration samples has come while the robot turned"
-        return ""
+        return stage.monitor.objection()
