@@ -114,7 +114,8 @@ class HeadingTopic:
             return
         settings = self._pipeline.current_settings()
         north = settings.heading_is_true, settings.knowledge.reference
-        if collector.on_field(sample, view.pose[0], *north):
+        gap = self._magnetometer.inputs.streams.max_gap
+        if collector.on_field(sample, view.pose[0], *north, gap):
             self._fit(settings, collector)
 
     def _on_heading(self, data: bytes) -> None:

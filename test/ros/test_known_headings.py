@@ -11,6 +11,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from support import PATIENCE, REFERENCE, rms_deg
 
+from magcal_ros.core.samples import FieldSample
 from magcal_ros.files import read_calibration
 
 DECLINATION = 10.0
@@ -177,6 +178,23 @@ def test_antennas_calibrate_the_compass_and_the_fused_yaw_continues_without_them
     true = actor.ride.magnetic_yaw - math.radians(DECLINATION)
     assert abs(math.remainder(2.0 * math.atan2(q.z, q.w) - true, math.tau)) < math.radians(6.0)
     assert not actor.status["known_headings"]["topic"]["speaks"]
+
+
+def test_field_samples_between_those_of_the_imu_are_collected(stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    step = actor.ride.step
+
+    def step_with_later_field(*arguments, **options):
+        return [
+            each._replace(stamp=each.stamp + 0.003) if isinstance(each, FieldSample) else each
+            for each in step(*arguments, **options)
+        ]
+
+    actor.ride.step = step_with_later_field
+    Antennas(actor)
+    actor.run(PATIENCE, stop=lambda: actor.status["known_headings"] is not None)
+    actor.run(PATIENCE, stop=lambda: actor.status["known_headings"]["topic"]["kept"] > 0)
+    assert actor.status["known_headings"]["topic"]["kept"] > 0
 
 
 def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):

@@ -279,7 +279,7 @@ class HeadingCollector:
         forward: FloatArray,
         is_true: bool,
         reference: ReferenceField,
-        max_gap: float = 0.0,
+        max_gap: float,
     ) -> bool:
         """Take a field sample; returns whether there are enough new means for a fit.
 
