@@ -280,7 +280,7 @@ def _level_acceleration(best: Fit) -> float:
 
 
 def _figures(found: Smoothed) -> dict[Figure, float]:
-    best = found.fit
+    best, course = found.fit, found.fit.point.course
     shared, sigma = best.state.shared, np.sqrt(np.diag(best.covariance))
     turning = float(np.median(found.nodes.rate[:, 2]))
     at_rate = np.zeros((3, len(shared)))
@@ -288,14 +288,13 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
     if found.nodes.currents is not None:
         beyond = found.nodes.currents.at(shared[CURRENT_LATE])
-        usual = float(np.median(beyond[best.point.course.moving > 0.0]))
+        usual = float(np.median(beyond[course.moving > 0.0]))
         at_rate[:, AT["motors_current"]] = usual * np.eye(3)
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
     weakened = 1.0 - share > max(LARGEST_GAIN_ERROR, CLEAR * sigma[SHIELDING])
-    return {
-        **(_of_a_drive(found) if found.mode in DRIVES else {}),
+    figures = {
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
         Figure.STEADY_ACCELERATION: _level_acceleration(best) / STANDARD_GRAVITY,
         Figure.POSSIBLE_ACCELERATION: found.by_acceleration,
@@ -303,12 +302,25 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.NOT_CONVERGED: float(not best.is_settled),
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
-        **_where_seen(found, size if size > CLEAR * doubt else 0.0),
         Figure.IRON_DRIFT: _iron_drift(best) / MICROTESLA,
         Figure.ON_THE_SPOT: sum(
             share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
         ),
     }
+    if best.model.priors.scale[AT["latency"]].any():
+        figures[Figure.LATENCY] = float(shared[AT["latency"]][0])
+    # The absence of a motors' field needs a rest.
+    if size > CLEAR * doubt or course.still.any():
+        figures[Figure.MOTOR_FIELD] = size / MICROTESLA if size > CLEAR * doubt else 0.0
+    if found.mode in DRIVES:
+        sectors = np.unique(best.state.sector[course.moving > 0.0])
+        figures |= {
+            Figure.HEADINGS_DRIVEN: float(len(sectors)),
+            Figure.DRIVING_TIME: float(np.ptp(found.nodes.time)),
+            Figure.STREET: best.point.sizes["street"] / MICROTESLA,
+            Figure.LOCAL_FIELD: best.local_field / MICROTESLA,
+        }
+    return figures
 
 
 def _iron_drift(best: Fit) -> float:
@@ -320,28 +332,3 @@ def _iron_drift(best: Fit) -> float:
     if not known.any() or drift @ np.linalg.solve(known, drift) < len(drift):
         return 0.0
     return float(np.linalg.norm(drift))
-
-
-def _where_seen(found: Smoothed, motors: float) -> dict[Figure, float]:
-    """Return latency and motors' field (`motors`, µT), each if it is observable.
-
-    Latency needs a gyro. The absence of a motors' field needs a rest.
-    """
-    scale, shared = found.fit.model.priors.scale, found.fit.state.shared
-    latency, figures = AT["latency"], dict[Figure, float]()
-    if scale[latency].any():
-        figures[Figure.LATENCY] = float(shared[latency][0])
-    if motors or found.fit.point.course.still.any():
-        figures[Figure.MOTOR_FIELD] = motors / MICROTESLA
-    return figures
-
-
-def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
-    nodes, course = found.nodes, found.fit.point.course
-    sectors = np.unique(found.fit.state.sector[course.moving > 0.0])
-    return {
-        Figure.HEADINGS_DRIVEN: float(len(sectors)),
-        Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
-        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
-        Figure.LOCAL_FIELD: found.fit.local_field / MICROTESLA,
-    }

@@ -32,11 +32,18 @@ class RecordedCourse:
     @property
     def words(self) -> str:
         """The comparison in one sentence."""
-        found = self.offset
+        found, north = self.offset, self.declination
+        part = "this includes the declination, which is not known: give the position"
+        if north is not None:
+            rest = math.degrees(math.remainder(found.offset - north, math.tau))
+            part = (
+                f"{math.degrees(north):+.1f}° of it is declination, {rest:+.1f}° is the mounting "
+                "of the IMU in the vehicle, or an error"
+            )
         return (
             f"compass minus course {math.degrees(found.offset):+.1f}° "
             f"±{math.degrees(found.sigma):.1f}° over {found.metres:.0f} m of straight driving, "
-            f"{found.sectors} of 8 courses; {_north(found.offset, self.declination)}"
+            f"{found.sectors} of 8 courses; {part}"
         )
 
     def facts(self) -> dict[str, Any]:
@@ -86,17 +93,6 @@ def _yaws(
             heading = CompassReading.of(compass, sample, up, None).heading
             if heading is not None:
                 yield sample.stamp, heading.yaw
-
-
-def _north(offset: float, declination: float | None) -> str:
-    """Say which part of an offset against true north is declination."""
-    if declination is None:
-        return "this includes the declination, which is not known: give the position"
-    rest = math.degrees(math.remainder(offset - declination, math.tau))
-    return (
-        f"{math.degrees(declination):+.1f}° of it is declination, {rest:+.1f}° is the mounting of "
-        "the IMU in the vehicle, or an error"
-    )
 
 
 def against_own_yaw(
