@@ -21,6 +21,7 @@ from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.samples_tuning import COMPLAINTS
+from magcal_ros.core.samples.streams import DropReason
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
     SampleCollector,
@@ -47,7 +48,8 @@ class CollectedRecording:
     def complaints(self) -> list[str]:
         """Return the faults of the recording and of the reference field, in words."""
         found = [*self.source.notes, *self.repaired.notes, *self.collector.complaints()]
-        repeats, (_, fields) = self.collector.repeats, self.repaired.read
+        repeats = self.collector.streams.field_drops[DropReason.REPEATED]
+        fields = self.repaired.read[1]
         if repeats > COMPLAINTS.worth_a_word * fields:
             words = f"{repeats} of {fields} samples repeat the previous one and are left out"
             found.append(f"{self.source.field_topic}: {words}")

@@ -123,11 +123,6 @@ class SampleCollector:
         """Whether there is a pair of field and acceleration samples."""
         return self._session.has_samples
 
-    @property
-    def repeats(self) -> int:
-        """Number of field samples that repeat the previous one; they are left out."""
-        return self.streams.field_drops[DropReason.REPEATED]
-
     def drive(self) -> Window:
         """Return the samples of the drive; empty without a gyro or if the field is too slow."""
         return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()
@@ -320,10 +315,8 @@ def pairs_at_rest(readings: Iterable[Reading]) -> tuple[Pair, ...]:
     """Return the field samples of a recording, each with the IMU sample at its stamp."""
     streams = Streams(STREAMS.max_gap)
     pairer, found = Pairer(streams), list[Pair]()
-    for reading in readings:
-        if isinstance(reading, ImuSample):
-            streams.add_imu(reading)
-        elif isinstance(reading, FieldSample) and streams.add_field(reading):
+    for reading in TravelReplay((), streams).readings(readings):
+        if isinstance(reading, FieldSample):
             pairer.offer(reading)
         found += pairer.take()
     return tuple(found)

@@ -229,11 +229,6 @@ class TurnRow(NamedTuple):
     field: Triple  # raw field, tesla
     force: Triple  # m/s²
 
-    def is_apart(self, other: TurnRow) -> bool:
-        """Whether either angle differs enough from that of another row."""
-        gaps = self.turned - other.turned, self.commanded - other.commanded
-        return max(map(abs, gaps)) >= ROTATION.spacing
-
 
 class TurnMonitor:
     """Integrates the gyro over one turn and tests it by the field.
@@ -263,9 +258,12 @@ class TurnMonitor:
                 self._commanded += step * command
                 self._rate += (about_up - self._rate) * min(step / ROTATION.smoothed, 1.0)
         self._newest = (stamp, about_up)
-        row = TurnRow(self._turned, self._commanded, pair.field.field, force)
-        if not self._rows or row.is_apart(self._rows[-1]):
-            self._rows.append(row)
+        angles = self._turned, self._commanded
+        gaps = (
+            abs(a - b) for last in self._rows[-1:] for a, b in zip(angles, last[:2], strict=True)
+        )
+        if max(gaps, default=math.inf) >= ROTATION.spacing:
+            self._rows.append(TurnRow(*angles, pair.field.field, force))
 
     def measured(self, progress: Progress) -> MeasuredTurn:
         """Return the turn by the gyro, or without a gyro by the session's compass."""
@@ -291,22 +289,21 @@ class TurnMonitor:
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.WRONG_WAY:
-            return f"{rates}: {self._wrong_way_cause(measured)}"
+            base = "the base turns the wrong way (angular.z is positive to the left)"
+            if not measured.by_gyro:
+                return f"{rates}: {base}, or the magnetometer's axes are mirrored"
+            short = "the arc is too short to decide by the compass"
+            cause = {
+                1: f"{base}; the compass agrees with the gyro",
+                -1: "the gyro is mirrored, because the compass agrees with the commands",
+                0: f"{base}, or the gyro is mirrored; {short}",
+            }[self.compass_sense()]
+            return f"{rates}: {cause}"
         turned, asked, level = self._angles_and_field()
         if measured.by_gyro and _turns_rather_by(asked, turned, level):
             return f"{rates}, but the field turns: the gyro does not measure the turn"
         remedy = "check the emergency stop, and that the base obeys cmd_vel"
         return f"the robot does not turn: {rates}; {remedy}"
-
-    def _wrong_way_cause(self, measured: MeasuredTurn) -> str:
-        base = "the base turns the wrong way (angular.z is positive to the left)"
-        if not measured.by_gyro:
-            return f"{base}, or the magnetometer's axes are mirrored"
-        return {
-            1: f"{base}; the compass agrees with the gyro",
-            -1: "the gyro is mirrored, because the compass agrees with the commands",
-            0: f"{base}, or the gyro is mirrored; the arc is too short to decide by the compass",
-        }[self.compass_sense()]
 
     def compass_sense(self) -> int:
         """Return +1 if the field turns like the gyro, -1 if opposite, 0 if it is unknown.

@@ -322,7 +322,11 @@ class TurnMachine:
         words = outcome.verdict.summary
         if outcome.multi_turn is not None and outcome.calibration is not None:
             words = f"{words} {outcome.multi_turn.in_words}"
-        words = _with_ending(words, why, outcome.verdict.accepted)
+        if outcome.verdict.accepted and why.startswith(ENDED_BY_TIME):
+            # A time limit comes after a success, because it is no fault.
+            words = f"{words} ({why[0].upper()}{why[1:]}.)"
+        elif why:
+            words = f"{why}; {words}"
         report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""
         unchanged = UNCHANGED[0].upper() + UNCHANGED[1:]
@@ -381,13 +385,6 @@ class TurnMachine:
 
 
 ENDED_BY_TIME = "ended by the time limit of"
-
-
-def _with_ending(words: str, why: str, accepted: bool) -> str:
-    """Add why a turn ended; a time limit comes after a success, because it is no fault."""
-    if accepted and why.startswith(ENDED_BY_TIME):
-        return f"{words} ({why[0].upper()}{why[1:]}.)"
-    return f"{why}; {words}" if why else words
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:
