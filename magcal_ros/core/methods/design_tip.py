@@ -47,23 +47,12 @@ from magcal_ros.core.samples.window import Window
 class Candidate:
     """An installation that fits the two normals, with the field of the Earth that belongs to it."""
 
-    roll: float
-    pitch: float  # of the passive rotation Rx(roll) Ry(pitch), radians
+    installation: Installation
     circle: FieldCircle  # the field's circle with the normal that this installation needs
     strength: float  # tesla
     inclination: float  # radians
     axial: float  # component of the Earth's field along the axis, downwards, tesla
     basis: str  # what the Earth's field is derived from, in words
-
-    @property
-    def rotation(self) -> FloatArray:
-        """The installation, shape (3, 3)."""
-        return rotation_from_rpy(self.roll, self.pitch)
-
-    @property
-    def angle(self) -> float:
-        """Radians of the whole installation."""
-        return rotation_angle(self.rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +64,6 @@ class TipSolution:
     chosen: Candidate
     rival: Candidate | None
     correction: Correction
-    installation: Installation
 
 
 def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
@@ -105,7 +93,7 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
         method="design_tip",
         correction=solution.correction,
         covariance=covariance,
-        installation=solution.installation,
+        installation=chosen.installation,
         axis=-FRD_FROM_FLU @ axis.direction,
         arc=arc,
         strength=chosen.strength,
@@ -125,12 +113,10 @@ def solve(window: Window, knowledge: Knowledge) -> TipSolution:
     circle = fit_field_circle(samples)
     axis = find_axis(samples, circle)
     chosen, rival = _choose(find_candidates(samples, axis, circle, knowledge.reference))
-    # The tip's rotation is passive in forward-right-down axes: its pitch has the other sign.
-    installation = Installation(chosen.roll, -chosen.pitch)
     iron = chosen.circle.basis @ (chosen.circle.middle - np.array([0.0, 0.0, chosen.axial]))
-    matrix = installation.pose @ knowledge.mounting.to_body
+    matrix = chosen.installation.pose @ knowledge.mounting.to_body
     correction = Correction(matrix, samples.mounting @ iron)
-    return TipSolution(samples, axis, chosen, rival, correction, installation)
+    return TipSolution(samples, axis, chosen, rival, correction)
 
 
 def _choose(candidates: list[Candidate]) -> tuple[Candidate, Candidate | None]:
@@ -141,8 +127,8 @@ def _choose(candidates: list[Candidate]) -> tuple[Candidate, Candidate | None]:
     first, *fitting = np.flatnonzero(misfit <= misfit.min() + TIP.strength_margin)
     chosen, others = candidates[first], candidates[:first] + candidates[first + 1 :]
     for rival in (candidates[index] for index in fitting):
-        apart = rotation_angle(chosen.rotation @ rival.rotation.T)
-        is_same_size = rival.angle - chosen.angle < TIP.rival_margin
+        apart = rotation_angle(chosen.installation.pose @ rival.installation.pose.T)
+        is_same_size = rival.installation.angle - chosen.installation.angle < TIP.rival_margin
         if is_same_size and apart > SCREENING.widest_rival:
             raise Refusal(
                 Reason.AMBIGUOUS,
@@ -163,7 +149,7 @@ def _figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
         Figure.AXIS_TILT: axis.tilt,
         Figure.AXIAL_FIELD: chosen.axial,
         Figure.AXIAL_HARD_IRON: float(circle.middle[2]) - chosen.axial,
-        Figure.INSTALLATION_ANGLE: chosen.angle,
+        Figure.INSTALLATION_ANGLE: chosen.installation.angle,
     }
     down = samples.down @ derotation(axis.direction)
     figures |= along("accelerometer_range", np.ptp(down, axis=0))
@@ -176,9 +162,9 @@ def _figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
         figures[Figure.ELLIPSE_RATIO] = ratio
     if rival is not None:
         figures |= {
-            Figure.RIVAL_ROLL: rival.roll,
-            Figure.RIVAL_PITCH: -rival.pitch,
-            Figure.RIVAL_ANGLE: rival.angle,
+            Figure.RIVAL_ROLL: rival.installation.roll,
+            Figure.RIVAL_PITCH: rival.installation.pitch,
+            Figure.RIVAL_ANGLE: rival.installation.angle,
         }
     return figures
 
@@ -215,7 +201,7 @@ def find_candidates(
             "and the magnetometer are on the same body and that their axes are right-handed.",
         )
     found = [_candidate(reference, axis, *each) for each in both]
-    return sorted(found, key=lambda candidate: candidate.angle)
+    return sorted(found, key=lambda candidate: candidate.installation.angle)
 
 
 def _candidate(
@@ -230,6 +216,8 @@ def _candidate(
     """
     strength, inclination = reference.strength, reference.inclination
     radius, height, cosine = circle.radius, float(circle.middle[2]), axis.axial_gravity
+    # The tip's rotation is passive in forward-right-down axes: its pitch has the other sign.
+    installation = Installation(roll, -pitch)
     product = axis.across * (circle.offsets @ rotation_from_rpy(roll, pitch).T)
     across = float(np.sum(product, axis=1).mean())
     if not inclination.is_unknown:
@@ -240,7 +228,7 @@ def _candidate(
             basis = "inclination as given, strength from the circle's radius"
         fields = [(size, (size * sine - across) / cosine) for size in sizes]
         size, axial = min(fields, key=lambda field: abs(height - field[1]))
-        return Candidate(roll, pitch, circle, size, inclination.value, axial, basis)
+        return Candidate(installation, circle, size, inclination.value, axial, basis)
     axial = height
     basis = "neither strength nor inclination is known: no hard iron along the axis is assumed"
     if not strength.is_unknown:
@@ -250,7 +238,7 @@ def _candidate(
         basis = "strength as given, inclination from the circle's radius and the smaller hard iron"
     size = math.hypot(radius, axial)
     vertical = max(-1.0, min(1.0, (cosine * axial + across) / size))
-    return Candidate(roll, pitch, circle, size, math.asin(vertical), axial, basis)
+    return Candidate(installation, circle, size, math.asin(vertical), axial, basis)
 
 
 def _strengths(sine: float, cosine: float, across: float, radius: float) -> list[float]:
