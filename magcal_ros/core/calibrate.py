@@ -197,12 +197,12 @@ def calibrate_turns(
         if len(windows) > 1:
             raise UsageError(f"the method {method} takes one turn; {JOINS} joins several")
         return calibrate(windows[0], knowledge, method)
-    from magcal_ros.core.multi_turn.joined import fit_turns, join
+    from magcal_ros.core.multi_turn.joined import join
 
     batteries = with_one_reference([window.battery for window in windows])
     both = zip(windows, batteries, strict=True)
     windows = [w if w.battery is b else replace(w, battery=b) for w, b in both]
-    turns, joint, multi_turn = join(fit_turns(windows, called, knowledge), knowledge)
+    turns, joint, multi_turn = join(windows, called, knowledge)
     members = [turn for turn in turns if not turn.refusal_words]
     turn = (members or turns)[-1]
     if joint is not None:

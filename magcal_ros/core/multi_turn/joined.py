@@ -143,23 +143,6 @@ def _is_copy(window: Window, other: Window) -> bool:
     return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
-def agreement(alone: Sequence[Fit], joint_fit: JointFit, sigma: float) -> tuple[float, int | None]:
-    """Compare each turn with all others.
-
-    Returns the largest normalised difference of a turn's hard iron from that of all turns, and the
-    turn that most likely has another calibration than the rest; None if none has. Of two turns that
-    disagree it is the later one. `alone` are the separate fits, `sigma` (rad) is the prior of the
-    installation's yaw.
-    """
-    misfit = max(_misfit(one, joint) for one, joint in zip(alone, joint_fit.fits, strict=True))
-    if misfit < COMPARED_ABOVE or len(alone) < 2:
-        return misfit, None
-    asked = range(len(alone)) if len(alone) > 2 else [1]
-    gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
-    odd = max(gains, key=lambda k: gains[k])
-    return misfit, odd if gains[odd] > 0.0 else None
-
-
 def _gain(alone: Sequence[Fit], odd: int, joint_fit: JointFit, yaw_sigma: float) -> float:
     """Return twice the log likelihood ratio of a separate calibration for one turn."""
     rest = fit_jointly([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
@@ -187,18 +170,24 @@ def agreeing_turns(
     """Leave out one turn after another until the rest agrees on one calibration.
 
     Returns all turns, those left out with the reason; the joint fit of the others with the yaw of
-    the installation free, None if none is left; and their misfit (`agreement`).
+    the installation free, None if none is left; and the largest difference of a turn's hard iron
+    from that of all turns, in sigmas. Of two turns that disagree, the later one is left out.
     """
     turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
     while members := [turn for turn in turns if not turn.refusal_words]:
         alone = [turn.fit for turn in members]
         try:
             joint_fit = fit_jointly(alone, sigma)
-            misfit, odd = agreement(alone, joint_fit, sigma)
+            both = zip(alone, joint_fit.fits, strict=True)
+            misfit, gains = max(_misfit(*each) for each in both), dict[int, float]()
+            if misfit >= COMPARED_ABOVE and len(alone) > 1:
+                asked = range(len(alone)) if len(alone) > 2 else [1]
+                gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
         except np.linalg.LinAlgError:
             left_out, words = members[-1], "it has no solution together with the others"
         else:
-            if odd is None:
+            odd = max(gains, key=gains.__getitem__, default=0)
+            if gains.get(odd, 0.0) <= 0.0:
                 return turns, joint_fit, misfit
             others = "the other turns" if len(members) > 2 else "the turn before"
             left_out, words = members[odd], CONTRADICTS.format(others, misfit)
@@ -352,14 +341,14 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Tur
 
 
 def join(
-    surveyed: Sequence[Turn], knowledge: Knowledge
+    windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge
 ) -> tuple[list[Turn], Estimate | None, MultiTurnReport | None]:
-    """Join the turns that agree.
+    """Fit the turns, and join those that agree.
 
     Returns all turns, the joint estimate (None for less than two turns), and the report; None if
     no turn joined.
     """
-    turns, joint_fit, misfit = agreeing_turns(surveyed, knowledge)
+    turns, joint_fit, misfit = agreeing_turns(fit_turns(windows, names, knowledge), knowledge)
     members = [turn for turn in turns if not turn.refusal_words]
     if joint_fit is None:
         return turns, None, None
