@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
-from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.geometry.attitude import unit, usual_size
@@ -16,7 +14,6 @@ from magcal_ros.core.geometry.shapes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.spikes import without_spikes
-from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
 
 WEAKEST_FORCE = 0.8
@@ -49,18 +46,6 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
-
-
-def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn with a too low rate of gyro samples; None if it is enough."""
-    if window.angular_rate is None or knowledge.exact_sensors or window.imu_gap <= SWAY:
-        return None
-    return Refusal(
-        Reason.TOO_SLOW,
-        f"The samples of field and IMU come at {1.0 / window.imu_gap:.2g} Hz, too slowly to follow "
-        "how the robot turned and swayed between them. Publish or record both at 10 Hz or more, or "
-        "let the driver average its readings and turn more slowly.",
-    )
 
 
 def _refuse_nonsense(window: Window) -> None:
@@ -157,53 +142,6 @@ def visible_motion(values: FloatArray) -> bool:
     spread = math.sqrt(max(float(plane_normal(clean)[1][-1]), 0.0))
     size = usual_size(clean)
     return spread > max(SCREENING.smallest_motion * size, SCREENING.least_motion * noise)
-
-
-def check_shape(
-    estimate: Estimate,
-    knowledge: Knowledge,
-    deviation: float,
-    wobble: float,
-    across: float,
-    rival_gap: float,
-) -> None:
-    """Raise `Refusal` if the field's circle does not determine the calibration of a turn.
-
-    `deviation` is the deviation of the field from the model, over its strength; `wobble` the median
-    angle of the turn's axis from its median, radians. `across` is the radius of the circle over the
-    strength, `rival_gap` the difference in heading of the two best solutions, radians.
-    """
-    causes = []
-    if deviation > SCREENING.worst_field_noise:
-        causes.append(f"the field deviates by {deviation:.0%} of its strength")
-    if wobble > SCREENING.worst_wobble:
-        causes.append(f"the turn's axis wobbles by {math.degrees(wobble):.0f} degrees")
-    inliers = float(np.mean(estimate.inliers))
-    if inliers < SCREENING.fewest_inliers:
-        causes.append(f"only {inliers:.0%} of the samples fit")
-    if causes:
-        raise Refusal(
-            Reason.FIELD_NOT_ON_A_PLANE,
-            f"the field does not follow one turn of the robot ({', '.join(causes)}); turn about one"
-            " axis, away from iron and running motors",
-        )
-    check_radius(across, estimate.inclination)
-    check_arc(
-        estimate.arc,
-        solved_by_knowledge=knowledge.reference.is_complete,
-        tolerance=SCREENING.arc_tolerance,
-    )
-    if rival_gap <= SCREENING.widest_rival:
-        return
-    remedy = "turn a full circle on level ground"
-    if math.degrees(estimate.arc) >= FULL_ARC_DEG:
-        remedy = "turn once more on other ground, more slowly, with the robot upright"
-    raise Refusal(
-        Reason.AMBIGUOUS,
-        f"two calibrations explain this turn equally well and differ by"
-        f" {math.degrees(rival_gap):.0f} degrees of heading; {remedy}"
-        f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
-    )
 
 
 def check_radius(across: float, inclination: float, tilt: float = math.inf) -> None:

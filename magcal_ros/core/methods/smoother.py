@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
 from magcal_ros.core.calibration.calibration import (
     Estimate,
     FittedGyroBias,
@@ -20,8 +21,15 @@ from magcal_ros.core.geometry.arrays import FloatArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
-from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
+from magcal_ros.core.methods.checks import (
+    SCREENING,
+    check_arc,
+    check_radius,
+    check_window,
+    refuse_empty,
+)
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
@@ -133,7 +141,14 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
     if found.mode in DRIVES:
         _check_drive(found, estimate)
     elif not gyro_is_usual(found.fit):
-        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
+        if knowledge.exact_sensors or window.imu_gap <= SWAY:
+            raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
+        raise Refusal(
+            Reason.TOO_SLOW,
+            f"The samples of field and IMU come at {1.0 / window.imu_gap:.2g} Hz, too slowly to "
+            "follow how the robot turned and swayed between them. Publish or record both at 10 Hz "
+            "or more, or let the driver average its readings and turn more slowly.",
+        )
 
 
 def _check_drive(found: Smoothed, estimate: Estimate) -> None:
@@ -163,7 +178,38 @@ def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Kno
     wobble = float(np.median(np.arccos(np.clip(axes @ axis, -1.0, 1.0))))
     across = float(np.linalg.norm(np.cross(axis, unit(state.earth))))
     share = deviation / estimate.strength
-    check_shape(estimate, knowledge, share, wobble, across, rival_gap(found))
+    causes = []
+    if share > SCREENING.worst_field_noise:
+        causes.append(f"the field deviates by {share:.0%} of its strength")
+    if wobble > SCREENING.worst_wobble:
+        causes.append(f"the turn's axis wobbles by {math.degrees(wobble):.0f} degrees")
+    inliers = float(np.mean(estimate.inliers))
+    if inliers < SCREENING.fewest_inliers:
+        causes.append(f"only {inliers:.0%} of the samples fit")
+    if causes:
+        raise Refusal(
+            Reason.FIELD_NOT_ON_A_PLANE,
+            f"the field does not follow one turn of the robot ({', '.join(causes)}); turn about one"
+            " axis, away from iron and running motors",
+        )
+    check_radius(across, estimate.inclination)
+    check_arc(
+        estimate.arc,
+        solved_by_knowledge=knowledge.reference.is_complete,
+        tolerance=SCREENING.arc_tolerance,
+    )
+    gap = rival_gap(found)
+    if gap <= SCREENING.widest_rival:
+        return
+    remedy = "turn a full circle on level ground"
+    if math.degrees(estimate.arc) >= FULL_ARC_DEG:
+        remedy = "turn once more on other ground, more slowly, with the robot upright"
+    raise Refusal(
+        Reason.AMBIGUOUS,
+        f"two calibrations explain this turn equally well and differ by"
+        f" {math.degrees(gap):.0f} degrees of heading; {remedy}"
+        f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
+    )
 
 
 def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
