@@ -81,28 +81,19 @@ def checks_of_change(
     cause = max(parts, key=lambda words: heading_swing(parts[words], known, *place))
     bound = replace(SWING_BOUND, remedy=cause, when_refused=f"{cause}; {OTHER_ROBOT}")
     swing = heading_swing(new, known, *place)
-    by_old, by_none = (_offsets(each, new, place, old) for each in (known, Correction.identity()))
+    # Means over level headings of the corrected and of the raw field, minus the calibration's.
+    strengths, dips = [], []
+    for seen in (known, Correction.identity()):
+        up, _, field = fields_on_level(new, seen, *place)
+        size = np.linalg.norm(field, axis=1)
+        down = np.arcsin(np.clip(-np.sum(field * up, axis=1) / np.maximum(size, 1e-12), -1.0, 1.0))
+        strengths.append(abs(float(size.mean()) / old.strength - 1.0))
+        dips.append(abs(float(down.mean()) - old.inclination))
     strength, dip = (
-        check_beside_chance(bound, value, local, raw)
-        for bound, value, raw in zip((STRENGTH_BOUND, DIP_BOUND), by_old, by_none, strict=True)
+        check_beside_chance(bound, by_old, local, raw)
+        for bound, (by_old, raw) in ((STRENGTH_BOUND, strengths), (DIP_BOUND, dips))
     )
     return check_beside_chance(bound, swing, chance, before), strength, dip
-
-
-def _offsets(
-    seen: Correction, new: Correction, place: tuple[float, float], old: Calibration
-) -> tuple[float, float]:
-    """Return relative strength and dip (rad) of a field minus those of a calibration, no sign.
-
-    They are means over level headings of the field that `seen` makes.
-    """
-    up, _, field = fields_on_level(new, seen, *place)
-    size = np.linalg.norm(field, axis=1)
-    dip = -np.arcsin(np.clip(np.sum(field * up, axis=1) / np.maximum(size, 1e-12), -1.0, 1.0))
-    return (
-        abs(float(size.mean()) / old.strength - 1.0),
-        abs(float(dip.mean()) - old.inclination),
-    )
 
 
 def local_chance(local_field: float, seconds: float) -> float:

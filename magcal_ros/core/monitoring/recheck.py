@@ -183,7 +183,10 @@ def _checks(
     by_old, by_none = (heading_swing(new, each, *place) for each in (old, Correction.identity()))
     chance = CHANGE.chance * calibration_sigma(estimate)
     if is_fixed:
-        chance = math.hypot(chance, _distortion(estimate, corrected))
+        # In an undisturbed place, the strength of a rightly corrected field is constant. Elsewhere
+        # its standard deviation is about that of one component of the local disturbance.
+        strength = np.linalg.norm(estimate.correction.apply(corrected), axis=1)
+        chance = math.hypot(chance, float(np.std(strength)) / estimate.circle_radius)
     size = found.fit.local_field / MICROTESLA / calibration.strength
     local = CHANGE.chance * local_chance(size, float(np.ptp(found.nodes.time)))
     turned, *other = checks_of_change(calibration, new, place, chance, local, by_none)
@@ -191,30 +194,12 @@ def _checks(
         return [turned, *other], None
     swing = smoother.swing_of(found, corrected)
     left = math.sqrt(max(swing.rms**2 - by_old**2, 0.0))
-    gyro = _check_gyro(left, smoother.swing_of(found, raw).rms, is_fixed)
+    before = smoother.swing_of(found, raw).rms
+    gyro = GYRO.check(left, excess=left if is_fixed else 0.0, before=before)
+    if gyro.grade.rank >= Grade.WARN.rank:
+        # It makes a place unsuitable for a check. On a drive, places differ, and it is not graded.
+        gyro = replace(gyro, grade=Grade.WARN, is_judged=False)
     return [turned, gyro, *other], swing
-
-
-def _distortion(estimate: Estimate, field: FloatArray) -> float:
-    """Return the heading error in a distorted place that no calibration explains, radians.
-
-    In an undisturbed place, the strength of a rightly corrected field (n, 3) is constant. Elsewhere
-    its standard deviation is about that of one component of the local disturbance.
-    """
-    size = np.linalg.norm(estimate.correction.apply(field), axis=1)
-    return float(np.std(size)) / (estimate.strength * math.cos(estimate.inclination))
-
-
-def _check_gyro(left: float, raw: float, is_fixed: bool) -> Check:
-    """Grade the swing of the compass against the gyro that is not due to the calibration, radians.
-
-    It makes a place unsuitable for a check. On a drive, places differ, and it is not graded. `raw`
-    is the whole swing of the raw field.
-    """
-    graded = GYRO.check(left, excess=left if is_fixed else 0.0, before=raw)
-    if graded.grade.rank < Grade.WARN.rank:
-        return graded
-    return replace(graded, grade=Grade.WARN, is_judged=False)
 
 
 def _slopes_of(calibration: Calibration) -> str:

@@ -164,37 +164,6 @@ def _misfit(alone: Fit, joint: Fit) -> float:
     return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST_DIFFERENCE))))
 
 
-def agreeing_turns(
-    surveyed: Sequence[Turn], knowledge: Knowledge
-) -> tuple[list[Turn], JointFit | None, float]:
-    """Leave out one turn after another until the rest agrees on one calibration.
-
-    Returns all turns, those left out with the reason; the joint fit of the others with the yaw of
-    the installation free, None if none is left; and the largest difference of a turn's hard iron
-    from that of all turns, in sigmas. Of two turns that disagree, the later one is left out.
-    """
-    turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
-    while members := [turn for turn in turns if not turn.refusal_words]:
-        alone = [turn.fit for turn in members]
-        try:
-            joint_fit = fit_jointly(alone, sigma)
-            both = zip(alone, joint_fit.fits, strict=True)
-            misfit, gains = max(_misfit(*each) for each in both), dict[int, float]()
-            if misfit >= COMPARED_ABOVE and len(alone) > 1:
-                asked = range(len(alone)) if len(alone) > 2 else [1]
-                gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
-        except np.linalg.LinAlgError:
-            left_out, words = members[-1], "it has no solution together with the others"
-        else:
-            odd = max(gains, key=gains.__getitem__, default=0)
-            if gains.get(odd, 0.0) <= 0.0:
-                return turns, joint_fit, misfit
-            others = "the other turns" if len(members) > 2 else "the turn before"
-            left_out, words = members[odd], CONTRADICTS.format(others, misfit)
-        turns[turns.index(left_out)] = replace(left_out, refusal_words=words)
-    return turns, None, 0.0
-
-
 def joint_estimate(
     joint_fit: JointFit, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
 ) -> Estimate:
@@ -343,14 +312,32 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Tur
 def join(
     windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge
 ) -> tuple[list[Turn], Estimate | None, MultiTurnReport | None]:
-    """Fit the turns, and join those that agree.
+    """Fit the turns, and leave out one after another until the rest agrees on one calibration.
 
-    Returns all turns, the joint estimate (None for less than two turns), and the report; None if
-    no turn joined.
+    Of two turns that disagree, the later one is left out. Returns all turns, the joint estimate
+    (None for less than two turns), and the report; None if no turn joined.
     """
-    turns, joint_fit, misfit = agreeing_turns(fit_turns(windows, names, knowledge), knowledge)
-    members = [turn for turn in turns if not turn.refusal_words]
-    if joint_fit is None:
+    turns, joint_fit = fit_turns(windows, names, knowledge), None
+    sigma, misfit = knowledge.mounting.yaw_sigma, 0.0
+    while members := [turn for turn in turns if not turn.refusal_words]:
+        alone = [turn.fit for turn in members]
+        try:
+            joint_fit = fit_jointly(alone, sigma)
+            both = zip(alone, joint_fit.fits, strict=True)
+            misfit, gains = max(_misfit(*each) for each in both), dict[int, float]()
+            if misfit >= COMPARED_ABOVE and len(alone) > 1:
+                asked = range(len(alone)) if len(alone) > 2 else [1]
+                gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
+        except np.linalg.LinAlgError:
+            left_out, words = members[-1], "it has no solution together with the others"
+        else:
+            odd = max(gains, key=gains.__getitem__, default=0)
+            if gains.get(odd, 0.0) <= 0.0:
+                break
+            others = "the other turns" if len(members) > 2 else "the turn before"
+            left_out, words = members[odd], CONTRADICTS.format(others, misfit)
+        turns[turns.index(left_out)] = replace(left_out, refusal_words=words)
+    if joint_fit is None or not members:
         return turns, None, None
     mounting, count = knowledge.mounting.matrix, len(members)
     known = [_known(joint_fit, first) for first in range(1, count + 1)]
