@@ -27,9 +27,27 @@ micro-g and millidegrees published as these."""
 def refuse_empty(window: Window, min_samples: int = 20) -> None:
     """Raise `Refusal` for a window that no method can use.
 
-    The reasons are impossible numbers, too few samples, and missing gravity or field.
+    The reasons are stamps that are no times, impossible numbers, too few samples, and missing
+    gravity or field.
     """
-    _refuse_nonsense(window)
+    longest = float(np.diff(window.time).max(initial=0.0))
+    if longest > STREAMS.longest_pause:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
+            "that is not set in between.",
+        )
+    # The fourth powers of very large numbers overflow.
+    rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
+    readings = (window.field, window.specific_force, rate)
+    for (sensor, limit), values in zip(NO_UNIT_EXPLAINS.items(), readings, strict=True):
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > limit:
+            raise Refusal(
+                Reason.NOT_FINITE,
+                f"The {sensor} reads up to {largest:.0e}, which no unit explains. "
+                "Check its driver.",
+            )
     if len(window) < min_samples:
         raise Refusal(
             Reason.TOO_FEW_SAMPLES,
@@ -46,27 +64,6 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
-
-
-def _refuse_nonsense(window: Window) -> None:
-    """Refuse numbers so large that their fourth powers overflow, and stamps that are no times."""
-    longest = float(np.diff(window.time).max(initial=0.0))
-    if longest > STREAMS.longest_pause:
-        raise Refusal(
-            Reason.NOT_FINITE,
-            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
-            "that is not set in between.",
-        )
-    rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
-    readings = (window.field, window.specific_force, rate)
-    for (sensor, limit), values in zip(NO_UNIT_EXPLAINS.items(), readings, strict=True):
-        largest = float(np.abs(values).max(initial=0.0))
-        if largest > limit:
-            raise Refusal(
-                Reason.NOT_FINITE,
-                f"The {sensor} reads up to {largest:.0e}, which no unit explains. "
-                "Check its driver.",
-            )
 
 
 @dataclass(frozen=True)
@@ -100,10 +97,6 @@ def check_window(window: Window, knowledge: Knowledge) -> None:
     dip = knowledge.reference.inclination
     if not dip.is_unknown and abs(dip.value) > SCREENING.steepest:
         raise _too_steep(dip.value)
-    _check_motion(window)
-
-
-def _check_motion(window: Window) -> None:
     if visible_motion(window.field):
         return
     if visible_motion(window.specific_force):
@@ -112,25 +105,20 @@ def _check_motion(window: Window) -> None:
             "the robot turned but its field did not change: the axis lies along the field; turn"
             " about another axis",
         )
-    turned = _turned_by_gyro(window)
-    if turned > SCREENING.least_arc:
-        raise Refusal(
-            Reason.FIELD_TOO_STEEP,
-            f"the gyro shows a turn of {math.degrees(turned):.0f} degrees, but the field did not "
-            "change: it is too steep for a compass here, or the magnetometer does not measure it",
-        )
+    if window.angular_rate is not None:
+        about_up = window.angular_rate @ unit(window.specific_force.mean(axis=0))
+        turned = float(np.ptp(integral(window.time, about_up)))
+        if turned > SCREENING.least_arc:
+            raise Refusal(
+                Reason.FIELD_TOO_STEEP,
+                f"the gyro shows a turn of {math.degrees(turned):.0f} degrees, but the field did "
+                "not change: it is too steep for a compass here, or the magnetometer does not "
+                "measure it",
+            )
     raise Refusal(
         Reason.NO_MOTION,
         "the field did not change, so the robot did not turn; turn it once about its vertical axis",
     )
-
-
-def _turned_by_gyro(window: Window) -> float:
-    """Return the range of the gyro's angle about up, radians; zero without a gyro."""
-    if window.angular_rate is None or len(window) < 2:
-        return 0.0
-    about_up = window.angular_rate @ unit(window.specific_force.mean(axis=0))
-    return float(np.ptp(integral(window.time, about_up)))
 
 
 def visible_motion(values: FloatArray) -> bool:

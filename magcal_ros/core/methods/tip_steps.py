@@ -6,6 +6,7 @@ Rx(roll) Ry(pitch) is the installation of a URDF with the same roll and the oppo
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, trapezoids
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.shapes import SMALLEST, Plane, fit_circle, fit_plane
+from magcal_ros.core.geometry.shapes import SMALLEST, fit_circle, fit_plane
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.methods.methods_tuning import TIP
 from magcal_ros.core.samples.window import Window
@@ -88,24 +89,10 @@ def fit_field_circle(samples: TipSamples) -> FieldCircle:
     basis = derotation(normal)
     flat = samples.field @ basis
     centre, radius = fit_circle(flat[:, :2])
-    _refuse_unreliable(plane, radius, samples.raw)
-    middle = np.append(centre, flat[:, 2].mean())
-    around = flat - middle
-    phasor = around[:, 0] + 1j * around[:, 1]
-    return FieldCircle(basis, around @ basis.T, phasor, middle, radius)
-
-
-def derotation(normal: FloatArray) -> FloatArray:
-    """Return the tip's matrix of roll and pitch whose third column is `normal`, shape (3, 3)."""
-    x, y, z = (float(v) for v in normal)
-    return rotation_from_rpy(math.atan2(y, z), -math.asin(min(1.0, max(-1.0, x)))).T
-
-
-def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
-    least_noise = SMALLEST * float(np.linalg.norm(raw, axis=1).mean())
-    smallest, middle, largest = plane.spread
+    least_noise = SMALLEST * float(np.linalg.norm(samples.raw, axis=1).mean())
+    smallest, middling, largest = plane.spread
     is_uncertain = plane.normal_sigma(least_noise) > TIP.largest_normal_sigma
-    if is_uncertain and middle < 2.0 * smallest < largest:
+    if is_uncertain and middling < 2.0 * smallest < largest:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
             "The field's samples lie on a line within their noise. Turn further.",
@@ -116,6 +103,16 @@ def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
             "The field's samples do not lie on a plane. Turn about one axis only, on even ground "
             "and away from moving iron.",
         )
+    middle = np.append(centre, flat[:, 2].mean())
+    around = flat - middle
+    phasor = around[:, 0] + 1j * around[:, 1]
+    return FieldCircle(basis, around @ basis.T, phasor, middle, radius)
+
+
+def derotation(normal: FloatArray) -> FloatArray:
+    """Return the tip's matrix of roll and pitch whose third column is `normal`, shape (3, 3)."""
+    x, y, z = (float(v) for v in normal)
+    return rotation_from_rpy(math.atan2(y, z), -math.asin(min(1.0, max(-1.0, x)))).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +142,16 @@ def find_axis(samples: TipSamples, circle: FieldCircle) -> TurnAxis:
     centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
     if float(np.linalg.norm(centre)) < TIP.smallest_axial_gravity:
         raise _horizontal()
-    try:
+    direction = centre / np.linalg.norm(centre)
+    # If gravity was constant, only its centre shows the axis.
+    with contextlib.suppress(Refusal):
         plane = fit_plane(samples.down)
-    except Refusal:
-        plane = None
-    direction = _weighed(centre, centre_sigma, plane)
+        from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
+        # The plane has no information along its normal, where the centre decides.
+        of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
+        of_plane = plane.normal_information(SMALLEST)
+        weighted = of_centre @ direction + of_plane @ from_plane
+        direction = unit(np.asarray(np.linalg.solve(of_centre + of_plane, weighted)))
     axial = samples.down @ direction
     axial_gravity = float(axial.mean())
     if axial_gravity < TIP.smallest_axial_gravity:
@@ -170,19 +172,6 @@ def _centre_of_gravity(down: FloatArray, circle: FieldCircle) -> tuple[FloatArra
     residual = down - design @ coefficients
     noise = float(np.sqrt((residual**2).sum() / (3.0 * max(len(down) - 3, 1))))
     return coefficients[0], max(noise, SMALLEST) * float(np.sqrt(covariance[0, 0])), noise
-
-
-def _weighed(centre: FloatArray, centre_sigma: float, plane: Plane | None) -> FloatArray:
-    """Return the axis from both; from the centre alone if gravity was constant."""
-    from_centre = centre / np.linalg.norm(centre)
-    if plane is None:
-        return np.asarray(from_centre)
-    from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
-    # The plane has no information along its normal, where the centre decides.
-    of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
-    of_plane = plane.normal_information(SMALLEST)
-    weighted = of_centre @ from_centre + of_plane @ from_plane
-    return unit(np.asarray(np.linalg.solve(of_centre + of_plane, weighted)))
 
 
 def _horizontal() -> Refusal:

@@ -157,8 +157,15 @@ def add_known_heading(
     other = None if in_force is None or is_by_headings(in_force) else in_force
     gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
     if abs(gap) > CLEAR * sigma:
-        refusal = Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
-        return _refused(before, Outcome.refused(refusal))
+        side = "left" if gap > 0.0 else "right"
+        why = (
+            f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
+            f"{side} than the given heading; ±{sigma * DEGREES:.1f}° would be usual. Check the "
+            "sign of the heading, that zero is east, and which north it refers to. If the heading "
+            "is right, the calibration is out of date or the sensor was turned: call ~/reset, and "
+            "then this service again"
+        )
+        return _refused(before, Outcome.refused(Refusal(Reason.HEADING_CONTRADICTED, why)))
     measurements = (*_without_repeated(before, new), new)[-KNOWN.most :]
     outcome, north = fit_log(measurements, knowledge, DISTURBANCE_AT_REST)
     if outcome.calibration is None:
@@ -206,16 +213,6 @@ def _gap(calibration: Calibration, new: KnownHeadingMeasurement) -> tuple[float,
     gradient_by_parameters = float(jacobian @ calibration.covariance @ jacobian)
     place = DISTURBANCE_AT_REST.rms / MICROTESLA / level
     return wrapped(yaw - new.heading), math.sqrt(gradient_by_parameters + place**2 + new.sigma**2)
-
-
-def _contradicted(gap: float, sigma: float) -> str:
-    return (
-        f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
-        f"{'left' if gap > 0.0 else 'right'} than the given heading; ±{sigma * DEGREES:.1f}° would "
-        "be usual. Check the sign of the heading, that zero is east, and which north it refers "
-        "to. If the heading is right, the calibration is out of date or the sensor was turned: "
-        "call ~/reset, and then this service again"
-    )
 
 
 class _DriveMean(NamedTuple):
