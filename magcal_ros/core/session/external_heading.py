@@ -129,19 +129,17 @@ class HeadingAgainstGyro:
             self._wrong, self.fault = [], ""
             return
         self._wrong = [*self._wrong, (given, turned)][-KNOWN.times :]
-        if len(self._wrong) == KNOWN.times:
-            self.fault = self._in_words()
-
-    def _in_words(self) -> str:
-        for factor, words in FAULTS_BY_FACTOR.items():
-            if all(abs(wrapped(t - factor * g)) < KNOWN.apart for t, g in self._wrong):
-                return words
-        given, turned = self._wrong[-1]
-        return (
+        if len(self._wrong) < KNOWN.times:
+            return
+        self.fault = (
             f"the heading turned by {given * DEGREES:.0f}°, but the gyro measured "
             f"{wrapped(turned) * DEGREES:.0f}° (to the left): check that the topic has the robot's "
             "heading, and that the stamps are times of measurement"
         )
+        for factor, words in FAULTS_BY_FACTOR.items():
+            if all(abs(wrapped(g - factor * t)) < KNOWN.apart for g, t in self._wrong):
+                self.fault = words
+                return
 
 
 FAULTS_BY_FACTOR = {

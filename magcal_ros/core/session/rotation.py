@@ -170,21 +170,17 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
         newest = slice(int(np.count_nonzero(spans >= span)) - 1, None)
         if newest.start < 0:
             return ""
-        found = _objection(turned[newest], commanded[newest], level[newest], span)
-        if found:
-            return found
-    return ""
-
-
-def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, span: float) -> str:
-    gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
-    shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
-    if gyro_span >= span and _best_fit(by_gyro, level)[1] < ROTATION.smallest_radius:
-        return f"the gyro measured a turn of {shown:.0f}°, but the field did not change"
-    if np.ptp(by_gyro - by_command) < ROTATION.disagree * max(gyro_span, commanded_span):
-        return ""
-    if _turns_rather_by(by_command, by_gyro, level):
-        return f"the gyro measured {shown:.0f}°, but the field turned by the commanded {asked:.0f}°"
+        by_gyro, by_command, field = (each[newest] for each in (turned, commanded, level))
+        gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
+        shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
+        if gyro_span >= span and _best_fit(by_gyro, field)[1] < ROTATION.smallest_radius:
+            return f"the gyro measured a turn of {shown:.0f}°, but the field did not change"
+        differ = np.ptp(by_gyro - by_command) >= ROTATION.disagree * max(gyro_span, commanded_span)
+        if differ and _turns_rather_by(by_command, by_gyro, field):
+            return (
+                f"the gyro measured {shown:.0f}°, but the field turned by the commanded "
+                f"{asked:.0f}°"
+            )
     return ""
 
 
