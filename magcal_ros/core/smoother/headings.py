@@ -164,10 +164,9 @@ class KnownHeadingModel:
     """All measurements as nodes, with their priors."""
 
     course: Course
-    columns: Mapping[str, FloatArray]  # the values of the measurements, by field. Shapes (n, ...).
-    correlation: FloatArray
-    """Correlation of the local disturbance with the previous measurement. Shape (n - 1,)."""
-    common: FloatArray  # sigma of the error common to all headings, radians. Shape (n,).
+    columns: Mapping[str, FloatArray]
+    """The values of the measurements, by field; the common sigma is with that of the declination.
+    Shapes (n, ...)."""
     priors: Priors
     start: State
 
@@ -187,25 +186,24 @@ class KnownHeadingModel:
         mean = priors.mean.copy()
         mean[AT["iron"]] = state.shared[AT["iron"]]
         by_declination = columns["by_declination"] * knowledge.reference.declination_sigma
+        columns["common_sigma"] = np.hypot(by_declination, columns["common_sigma"])
         return cls(
             Course(nodes, np.eye(3), nodes.quiet),
             columns,
-            np.exp(-columns["distance"][1:] / priors.lengths.street),
-            np.hypot(by_declination, columns["common_sigma"]),
             replace(priors, mean=mean),
             state,
         )
 
     def field_of(self, state: State) -> factors.Residuals:
         """Return the residuals of the field at a state."""
-        return factors.magnetic(self.course, state, Places.none(len(self.common), 1.0))
+        return factors.magnetic(self.course, state, Places.none(len(state.local), 1.0))
 
     def residuals(self, state: State, size: float, drift: Drift) -> dict[str, WeightedResiduals]:
         """Return all residuals with their variances.
 
         `size` is the size of the local disturbance, `drift` the drift of the headings.
         """
-        of, ones = self.columns, np.ones(len(self.common))
+        of, ones = self.columns, np.ones(len(state.local))
         heading = factors.known_heading(of["heading"], of["forward"], state)
         force = factors.force_at_rest(of["force"], state)
         found = {
@@ -216,6 +214,7 @@ class KnownHeadingModel:
         if len(ones) > 1:
             turned, seconds, sigma = (of[k][1:] for k in ("turned", "seconds", "turned_sigma"))
             kept = np.exp(-seconds / drift.time)
+            correlation = np.exp(-of["distance"][1:] / self.priors.lengths.street)
             drifting = HEADING_DRIFT.start, HEADING_RATE.start
             found |= {
                 "turn": (factors.known_turn(turned, seconds, of["forward"], state), sigma**2),
@@ -228,8 +227,8 @@ class KnownHeadingModel:
                     LEAST_VARIANCE * ones[1:],
                 ),
                 "street": (
-                    factors.process(state, STREET, self.correlation),
-                    size**2 * (1.0 - self.correlation**2) + LEAST_VARIANCE,
+                    factors.process(state, STREET, correlation),
+                    size**2 * (1.0 - correlation**2) + LEAST_VARIANCE,
                 ),
             }
         return {name: WeightedResiduals(*each, GAUSSIAN) for name, each in found.items()}
@@ -269,7 +268,7 @@ class KnownHeadingModel:
             state = state.moved(solution.local, shared)
         # An error common to all headings, of declination or of the antennas' mounting.
         heading = weighted["heading"].linear
-        linear = replace(heading, residual=heading.residual + self.common[:, None])
+        linear = replace(heading, residual=heading.residual + self.columns["common_sigma"][:, None])
         shifted = {**weighted, "heading": replace(weighted["heading"], linear=linear)}
         by_common = solve(list(shifted.values()), prior, free).shared - solution.shared
         whole = np.zeros((SHARED, SHARED))
@@ -365,5 +364,5 @@ def _agreement(
     model: KnownHeadingModel, usual: KnownHeadingOptimum, large: KnownHeadingOptimum
 ) -> HeadingAgreement:
     turns = np.isfinite(model.columns["turned_sigma"][1:])
-    freedom = 3 * len(model.common) - 3 + int(turns.sum())
+    freedom = 3 * len(model.start.local) - 3 + int(turns.sum())
     return HeadingAgreement(usual.cost, usual.misfit, large.misfit, freedom)
