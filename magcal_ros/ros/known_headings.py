@@ -92,12 +92,8 @@ class HeadingTopic:
         """Return the part of `~/status` on the topic; None before the first heading."""
         if self._collector is None:
             return None
-        kept, is_received, found = (
-            sum(map(len, self._collector.kept)),
-            self.is_received,
-            self._answer,
-        )
-        return {"topic": self.topic, "speaks": is_received, "kept": kept, "found": found}
+        facts: dict[str, Any] = {"topic": self.topic, "speaks": self.is_received}
+        return {**facts, "kept": sum(map(len, self._collector.kept)), "found": self._answer}
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to an IMU message that the up follower has received already."""
@@ -204,7 +200,7 @@ class KnownHeadings:
         self._epoch = 0
         self._answer = ""
         self._turn: GyroTurn | None = None
-        """The turn by the gyro since the last measurement; None if it is not known."""
+        """The turn by the gyro since the last measurement; None before the first one."""
         self._pairs: list[Pair] = []
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
@@ -260,15 +256,8 @@ class KnownHeadings:
         """Integrate the gyro up to an IMU message that the up follower has received already."""
         if self.antenna.is_received:
             self.antenna.on_imu(stamp)
-        follower, turn = self._pipeline.up, self._turn
-        if turn is None or follower.newest is None:
-            return
-        if follower.is_propagated:
-            known = follower.gyro_bias.variance
-            self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
-        else:
-            # Without the gyro, the turn since the last measurement is unknown.
-            self._turn = None
+        if self._turn is not None:
+            self._turn = self._turn.followed(stamp, self._pipeline.up)
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on known headings; None if there are none."""

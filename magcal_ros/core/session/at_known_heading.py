@@ -260,10 +260,7 @@ class HeadingCollector:
 
     def on_imu(self, stamp: float) -> None:
         """Integrate the gyro up to the stamp (seconds) of an IMU message that `up` has received."""
-        up = self._up.newest
-        if up is not None:
-            known = self._up.gyro_bias.variance
-            self._turn = self._turn.after(stamp, up, self._up.mean_rate, known)
+        self._turn = self._turn.followed(stamp, self._up)
 
     def on_heading(self, sample: HeadingSample) -> None:
         """Take a heading."""

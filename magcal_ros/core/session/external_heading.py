@@ -20,6 +20,7 @@ from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import HeadingSample
 from magcal_ros.core.session.session_tuning import KNOWN
 from magcal_ros.core.up.filter import GYRO
+from magcal_ros.core.up.follower import UpFollower
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,15 @@ class GyroTurn(NamedTuple):
             self.variance + GYRO.walk_variance(turn * seconds, seconds),
             self.by_bias + more * seconds,
         )
+
+    def followed(self, stamp: float, up: UpFollower) -> GyroTurn:
+        """Return the turn up to the stamp of an IMU message that `up` has received.
+
+        It is unknown while the gyro does not propagate up.
+        """
+        if up.newest is None or not up.is_propagated:
+            return self._replace(stamp=stamp, variance=self.variance + UNKNOWN_YAW)
+        return self.after(stamp, up.newest, up.mean_rate, up.gyro_bias.variance)
 
     def since(self, before: GyroTurn) -> GyroTurn:
         """Return the turn after an earlier one with the same start."""

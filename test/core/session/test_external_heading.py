@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session import GyroTurn, HeadingAgainstGyro
+from magcal_ros.core.up import UpFollower
 
 
 @pytest.mark.parametrize(
@@ -46,6 +48,19 @@ def test_the_turn_since_a_measurement_has_a_correct_sigma():
     assert math.isinf(later.sigma)
     # After a gap the turn is known again.
     assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
+
+
+def test_a_turn_is_unknown_while_the_gyro_is_not_used():
+    up, rng, turns = UpFollower(), np.random.default_rng(1), [GyroTurn()]
+    for k in range(600):
+        rate = (0.0, 0.0, 0.2 + 1e-3 * rng.standard_normal())
+        is_silent = 200 <= k < 400
+        stamp, force = 0.01 * k, tuple(np.array([0.0, 0.0, 9.81]) + 0.01 * rng.standard_normal(3))
+        up.add(ImuSample(stamp, force, (math.nan,) * 3 if is_silent else rate))
+        turns.append(turns[-1].followed(stamp, up))
+    assert turns[199].since(turns[100]).sigma < 0.01
+    assert math.isinf(turns[-1].since(turns[100]).sigma)
+    assert turns[-1].since(turns[450]).sigma < 0.01
 
 
 def test_a_turn_is_less_certain_without_a_rest_and_after_minutes():
