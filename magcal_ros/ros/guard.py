@@ -79,7 +79,6 @@ class Guard:
         os.set_blocking(self._line, False)
         os.set_blocking(self._answers, False)
         self._task = task("TwistStamped" if stamped else "Twist", topic, SILENCE)
-        self._asked: dict[bytes, float] = {}
         self._proved_at = -math.inf
         self._has_stopped = False
         self._received = b""
@@ -123,11 +122,8 @@ class Guard:
             self._process.wait()
 
     def _ask(self, kind: bytes) -> None:
-        now, question = time.monotonic(), os.urandom(8).hex().encode()
-        # Answers to older questions are ignored.
-        self._asked = {each: at for each, at in self._asked.items() if now - at < SILENCE}
-        self._asked[question] = now
-        self._say(kind + question)
+        # An answer repeats the question, and so the time to which it belongs.
+        self._say(kind + repr(time.monotonic()).encode())
 
     def _listen(self) -> None:
         """Read the answers of the guard."""
@@ -136,9 +132,9 @@ class Guard:
                 self._received += os.read(self._answers, 65536)
         *lines, self._received = self._received.split(b"\n")
         for line in lines:
-            question, _, answer = line.partition(b" ")
-            if answer == self._task and question in self._asked:
-                self._proved_at = max(self._proved_at, self._asked.pop(question))
+            asked_at, _, answer = line.partition(b" ")
+            if answer == self._task:
+                self._proved_at = max(self._proved_at, float(asked_at))
             self._has_stopped |= line == STOPPED
 
     def _say(self, words: bytes) -> None:
