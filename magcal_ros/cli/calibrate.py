@@ -36,32 +36,26 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
 
     Raises UsageError if there are several and `wanted` is None, MagcalError if none is found.
     """
-    begin = first_found_at = time.monotonic()
-    found_names: list[str] = []
-    while True:
-        now = time.monotonic()
-        found = calibrators(node)
-        first_found_at = first_found_at if found_names else now
-        found_names = found
-        if wanted is not None and wanted in found_names:
-            return wanted
-        has_settled = not wanted and found_names and now - first_found_at >= SETTLE
-        if has_settled or now - begin >= PATIENCE:
-            break
+    found, deadline = calibrators(node), time.monotonic() + PATIENCE
+    while not (found if wanted is None else wanted in found) and time.monotonic() < deadline:
         time.sleep(0.1)
-    listed = ", ".join(map(printable, found_names))
+        found = calibrators(node)
+    if wanted in found:
+        return wanted
+    if wanted is None and found:
+        time.sleep(SETTLE)
+        found = calibrators(node)
+    listed = ", ".join(map(printable, found))
     if wanted is not None:
-        others = f"calibrators found: {listed}" if found_names else "no calibrator was found"
+        others = f"calibrators found: {listed}" if found else "no calibrator was found"
         raise MagcalError(
             f"the node {wanted} was not found; {others}. Start it with `ros2 run magcal_ros "
             "calibrator`, or name another with --node"
         )
-    if len(found_names) == 1:
-        return found_names[0]
-    if found_names:
-        raise UsageError(
-            f"{len(found_names)} calibrators were found: {listed}; choose one with --node"
-        )
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise UsageError(f"{len(found)} calibrators were found: {listed}; choose one with --node")
     raise MagcalError(
         "no calibrator was found: start it with `ros2 run magcal_ros calibrator`. If it runs, "
         "check that ROS_DOMAIN_ID and the discovery range are the same on both sides"
