@@ -165,17 +165,8 @@ def with_options(words: str) -> str:
 
 def document(content: Mapping[str, Any]) -> str:
     """Return one JSON document; a number that is not finite becomes null."""
-    return json.dumps(_finite(content), ensure_ascii=False, indent=2, allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    finite = json.loads(json.dumps(content), parse_constant=lambda _: None)
+    return json.dumps(finite, ensure_ascii=False, indent=2, allow_nan=False)
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:

@@ -58,7 +58,6 @@ def write_drive_page(folder: Path, replay: DriveReplay, source: str) -> Path:
     page = folder / PAGE
     if page.exists():
         raise FileError(f"{page} exists already and is not overwritten; choose another folder")
-    folder.mkdir(parents=True, exist_ok=True)
     write_atomically(page, render_drive(replay, source), REMEDY)
     return page
 
