@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 from functools import lru_cache, partial
 from typing import Any
 
@@ -129,7 +128,8 @@ class HeadingOutput:
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
-        norths, azimuth = ("compass/mag/enu", "compass/true/enu"), azimuth_type()
+        norths = "compass/mag/enu", "compass/true/enu"
+        azimuth = wire.optional_type("compass_interfaces", "Azimuth")
         self._magnetic, self._true = (AttitudeOutput(node, north, azimuth) for north in norths)
         self._deviation: FieldDeviation | None = None
         self.reading: CompassReading | None = None
@@ -186,14 +186,6 @@ class HeadingOutput:
         more = self._deviation.add(reading.stamp, reading.field, up.direction, up.variance)
         variance = heading.yaw_variance + more
         return reading._replace(heading=heading._replace(yaw_variance=variance))
-
-
-def azimuth_type() -> Any:
-    """Return compass_interfaces/msg/Azimuth; None if that package is not installed."""
-    try:
-        return importlib.import_module("compass_interfaces.msg").Azimuth
-    except ImportError:
-        return None
 
 
 def _is_wanted(publisher: Publisher) -> bool:

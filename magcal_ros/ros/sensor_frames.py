@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -34,7 +33,7 @@ from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
-from magcal_ros.ros.wire import by_rclpy
+from magcal_ros.ros.wire import by_rclpy, optional_type
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATIC_TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -71,7 +70,7 @@ class DescriptionListener:
         kinds: list[tuple[type, str, QoSProfile, Callable[[Any], Iterable[FrameJoint]]]] = [
             (String, "robot_description", LATCHED, lambda message: joints_of(message.data))
         ]
-        transforms = _transform_message()
+        transforms = optional_type("tf2_msgs", "TFMessage")
         if transforms is not None:
             static = transforms, "/tf_static", STATIC_TRANSFORMS
             kinds.append((*static, lambda message: joints_from(message.transforms)))
@@ -117,16 +116,6 @@ def joints_from(transforms: Iterable[TransformStamped]) -> list[FrameJoint]:
         if pose is not None:
             joints.append(FrameJoint(f"{parent} to {child}", FIXED, parent, child, pose))
     return joints
-
-
-def _transform_message() -> type | None:
-    """Return the message type of /tf_static; None if tf2 is not installed."""
-    try:
-        importlib.import_module("tf2_ros")
-        kind: type = importlib.import_module("tf2_msgs.msg").TFMessage
-    except ImportError:
-        return None
-    return kind
 
 
 DOUBTED_ANGLE = 0.26

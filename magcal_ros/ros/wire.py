@@ -9,6 +9,7 @@ layout are converted by rclpy.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import struct
 from collections.abc import Callable, Mapping
@@ -75,6 +76,14 @@ def by_rclpy(data: bytes, kind: type) -> Any:
     # rclpy has several base classes of errors, and the bytes may be anything.
     except Exception as error:
         raise Unreadable(f"the bytes are not a {kind.__name__}: {error}") from error
+
+
+def optional_type(package: str, name: str) -> Any:
+    """Return a message type; None if its package is not installed."""
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name)
+    except ImportError:
+        return None
 
 
 DOUBLE = 8
