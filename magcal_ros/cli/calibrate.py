@@ -12,7 +12,7 @@ from magcal_ros.cli.common import Exit, command, tell
 from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.files.disk import printable
 
-PATIENCE = 5.0  # longest wait for the discovery of a node, seconds
+PATIENCE = 5.0  # longest wait for a node, its service or its status with discovery, seconds
 SETTLE = 1.0  # seconds to wait for further calibrators after the first
 LONGEST_NAME = 255  # characters of a full name that the middleware accepts
 
@@ -80,7 +80,6 @@ every second."""
 
 CANCEL_WITHIN = 1.0  # longest wait for the answer of ~/cancel, seconds
 STATUS_DELAY = 0.5  # longest delay of the status after the answer, seconds
-STATUS_WITHIN = 5.0  # longest wait for the status of a running node with discovery, seconds
 
 
 def add_calibrate(commands: Any) -> None:
@@ -145,7 +144,7 @@ class _Turn:
 
     def run(self, view: live_view.ProgressLines) -> Any:
         self._warn_if_it_moves()
-        if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
+        if not self._clients["calibrate"].wait_for_service(timeout_sec=PATIENCE):
             raise MagcalError(
                 f"{self._calibrator}/calibrate does not answer: is the node running? "
                 "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
@@ -177,7 +176,7 @@ class _Turn:
             self._executor.spin_once(timeout_sec=0.1)
 
     def _warn_if_it_moves(self) -> None:
-        deadline = time.monotonic() + STATUS_WITHIN
+        deadline = time.monotonic() + PATIENCE
         while not self._status and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
         if not self._status:
