@@ -23,6 +23,7 @@ from magcal_ros.core.session import turn_machine as tm
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.session import TurnRequest
 from magcal_ros.files.default_paths import identifier
+from magcal_ros.ros.announcer import CallbackErrors
 from magcal_ros.ros.calibration_store import CalibrationStore, Tell
 from magcal_ros.ros.guard import Rotator
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
@@ -38,9 +39,7 @@ class MagnetometerOwner(Protocol):
     """The callbacks of the node for events of a magnetometer."""
 
     rotator: Rotator
-
-    def note_error(self, error: Exception) -> None:
-        """Note an error that ends a turn."""
+    callback_errors: CallbackErrors
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Note the first message of a sensor, or a new frame."""
@@ -300,7 +299,7 @@ class Control:
                 case tm.Conclusion():
                     self._conclude(command)
         except Exception as error:  # any error: all waiting callers must be answered
-            self._owner.note_error(error)
+            self._owner.callback_errors.note(error)
             self.tell(self.turn.abort, _broken_off(error))
 
     def _preview(self, asked: tm.Preview) -> None:
@@ -326,7 +325,7 @@ class Control:
         try:
             return self._magnetometer.reporter.report(window, self._settings, outcome)
         except Exception as error:  # a failed report must not prevent the calibration
-            self._owner.note_error(error)
+            self._owner.callback_errors.note(error)
             return f"No report: {error}."
 
     def _conclude(self, conclusion: tm.Conclusion) -> None:

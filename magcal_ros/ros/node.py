@@ -40,7 +40,7 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
-        self._callback_errors = CallbackErrors(self.get_logger().error)
+        self.callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._table = Parameters(self)
         # The messages of the IMU come first, because the others refer to up.
@@ -105,12 +105,8 @@ class Calibrator(Node):
 
     def _on_callback_error(self, error: Exception) -> None:
         # The failed callback may be the one that supervises the robot.
-        reason, stop = self._callback_errors.note(error), self._control.turn.stop_robot
+        reason, stop = self.callback_errors.note(error), self._control.turn.stop_robot
         self._control.tell(stop, reason, monotonic())
-
-    def note_error(self, error: Exception) -> None:
-        """Note an error that ends a turn."""
-        self._callback_errors.note(error)
 
     def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -256,7 +252,7 @@ class Calibrator(Node):
             *self._travel.diagnostics(),
             *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
-                self._inputs, complaints + self._table.complaints, self._callback_errors.total
+                self._inputs, complaints + self._table.complaints, self.callback_errors.total
             ),
         ]
         name, frame = self.get_fully_qualified_name().lstrip("/"), self._inputs.field.frame

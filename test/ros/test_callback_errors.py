@@ -109,7 +109,7 @@ def test_an_error_in_a_sensor_callback_is_counted_and_the_node_continues(graph, 
         sound(frame)
 
     node._inputs.imu.note_message = fail
-    robot.run(PATIENCE, stop=lambda: node._callback_errors.total >= 5)
+    robot.run(PATIENCE, stop=lambda: node.callback_errors.total >= 5)
     robot.run(0.2)
-    assert node._callback_errors.total == 5
+    assert node.callback_errors.total == 5
     goes_on(robot)

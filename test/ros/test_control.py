@@ -44,6 +44,7 @@ class House:
 
     def __init__(self):
         self.errors, self.reporter, self.biases = [], self, []
+        self.callback_errors = self
         self.fits = self.files = AtOnce()
         self.travel = self.estimator = self.motors = self.up = self
 
@@ -67,7 +68,7 @@ class House:
     def turn_ended(self, _):
         pass
 
-    def note_error(self, error):
+    def note(self, error):
         self.errors.append(error)
 
 
@@ -113,7 +114,7 @@ def turn_in(house):
     try:
         control.finish()
     except OSError as error:
-        house.note_error(error)
+        house.note(error)
     assert control.turn.state is TurnState.IDLE
     control.shut_down()
     first, second = reported

@@ -213,4 +213,4 @@ def test_the_first_fix_with_a_calibration_in_force_is_logged(loaded, capfd, grap
     receiver.reference(lambda reference: reference["declination_deg"] is not None)
     node = graph.calibrators[0]
     assert "compass/yaw refers to true north from now on" in capfd.readouterr().err
-    assert node._callback_errors.total == 0
+    assert node.callback_errors.total == 0
