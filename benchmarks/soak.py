@@ -20,6 +20,7 @@ from pathlib import Path
 
 import rclpy
 from sensor_msgs.msg import MagneticField
+from std_msgs.msg import Float64
 
 from magcal_ros.cli.live_view import use_local_traffic
 from magcal_ros.core.geometry.attitude import wrap_angle
@@ -68,8 +69,13 @@ class Feeder:
         self.sent = self.lost = 0
         node = actor.node
         node.create_subscription(MagneticField, "imu/mag_unbiased", self._on_field, 50, raw=True)
+        self.yaws: list[float] = []
+        node.create_subscription(Float64, "compass/yaw", self._on_yaw, 10)
         assert node.executor is not None
         self._executor = node.executor
+
+    def _on_yaw(self, message: Float64) -> None:
+        self.yaws.append(message.data)
 
     def _on_field(self, _: bytes) -> None:
         self._back += 1
@@ -148,10 +154,10 @@ def _live(
         calibrated = feeder.calibrate()
         # The first yaws after a turn may still be of the turn: a loaded machine is late.
         for _ in range(2):
-            actor.yaws.clear()
+            feeder.yaws.clear()
             for _ in range(100):
                 feeder.step()
-        seen = math.atan2(sum(map(math.sin, actor.yaws)), sum(map(math.cos, actor.yaws)))
+        seen = math.atan2(sum(map(math.sin, feeder.yaws)), sum(map(math.cos, feeder.yaws)))
         error = float(wrap_angle(seen - actor.ride.magnetic_yaw))
         done = (found[-1].calibrations if found else 0) + calibrated
         lived = (actor.ride.stamp - start) / 3600.0

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, MagneticField
-from std_msgs.msg import Float64, String
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
@@ -118,21 +118,16 @@ class Rehearsal:
         self.ride = Ride(robot, np.random.default_rng(seed), start=time.time(), **ride)
         self.source = SensorSource(node)
         self.status: dict[str, Any] = {}
-        self.yaws: list[float] = []
         self._calibrator = calibrator
         self._attitudes: Any = None
         self._settled = -math.inf
         self._settled_yaws: list[float] = []
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
-        node.create_subscription(Float64, "compass/yaw", self._on_yaw, 10)
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(node)
 
     def _on_status(self, message: String) -> None:
         self.status = json.loads(message.data)
-
-    def _on_yaw(self, message: Float64) -> None:
-        self.yaws.append(message.data)
 
     def _on_attitude(self, message: Imu) -> None:
         if seconds(message.header.stamp) >= self._settled:

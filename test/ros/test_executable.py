@@ -16,9 +16,9 @@ import yaml
 from rcl_interfaces.srv import GetParameters
 from std_srvs.srv import Trigger
 from support import AT_ONCE, IMU_RATE, PATIENCE
+from theatre import ListeningRobot
 
 from magcal_ros.core.simulation import Robot
-from magcal_ros.ros.rehearsal import Rehearsal
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -127,7 +127,7 @@ def test_the_installed_node_calibrates_with_a_parameter_file_remaps_and_a_namesp
     process = run_installed("--ros-args", *remaps, "--params-file", str(changed))
     node = rclpy.create_node("actor", cli_args=["--ros-args", *remaps])
     options = {"speed": 4.0, "imu_rate": IMU_RATE}
-    actor = Rehearsal(node, Robot(), calibrator="/robot1/calibrator", **options)
+    actor = ListeningRobot(node, Robot(), calibrator="/robot1/calibrator", **options)
     actor.wait_for_node(PATIENCE)
     value = parameter_of(actor, "/robot1/calibrator", "reference.declination_deg")
     assert value.double_value == 4.5

@@ -11,9 +11,9 @@ import pytest
 import rclpy
 from long_form import rounds
 from support import AT_ONCE, IMU_RATE, PATIENCE, ROBOT, store_calibration, turn_by
+from theatre import ListeningRobot
 
 from magcal_ros.files import read_calibration, read_samples
-from magcal_ros.ros.rehearsal import Rehearsal
 
 pytestmark = pytest.mark.faults
 
@@ -36,7 +36,7 @@ def run_node(graph, ros_home):
         )
         processes.append(process)
         nodes.append(rclpy.create_node("actor"))
-        actor = Rehearsal(nodes[-1], ROBOT, speed=8.0, imu_rate=IMU_RATE)
+        actor = ListeningRobot(nodes[-1], ROBOT, speed=8.0, imu_rate=IMU_RATE)
         actor.wait_for_node()
         return process, actor
 

@@ -9,6 +9,7 @@ import pytest
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
+from std_msgs.msg import Float64
 from support import IMU_RATE, PATIENCE, REFERENCE, ROBOT, SPEED
 
 from magcal_ros.ros import node as node_module
@@ -28,7 +29,16 @@ WAITING_SPEED = 2.0
 """Fastest time of a robot at rest that waits for an answer, often for that of a fit."""
 
 
-class PacedRobot(Rehearsal):
+class ListeningRobot(Rehearsal):
+    """A robot that keeps the published yaws."""
+
+    def __init__(self, node, *arguments, **options):
+        super().__init__(node, *arguments, **options)
+        self.yaws = []
+        node.create_subscription(Float64, "compass/yaw", lambda m: self.yaws.append(m.data), 10)
+
+
+class PacedRobot(ListeningRobot):
     """A robot whose time waits for the node: no machine is too slow for it."""
 
     def __init__(self, *arguments, audience=None, **options):
