@@ -19,7 +19,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.files import logs
 from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording, read_header, read_numbers
@@ -69,7 +69,7 @@ def read_phone(path: Path) -> Recording:
             f"{printable(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
             "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"
         )
-    size = float(np.median(np.linalg.norm(force[:, 1:], axis=1)))
+    size = usual_size(force[:, 1:])
     if size < LEAST_GRAVITY:
         raise FileError(
             f"{printable(str(path))} has acceleration without gravity ({size:.1f} m/s²): record "
@@ -128,7 +128,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
             force = own
     if force is None:
         force = read("AccelerometerUncalibrated")
-        if force is not None and np.median(np.linalg.norm(force[:, 1:], axis=1)) < LEAST_GRAVITY:
+        if force is not None and usual_size(force[:, 1:]) < LEAST_GRAVITY:
             force[:, 1:] *= STANDARD_GRAVITY
     if force is not None and _points_down(path, headers):
         force[:, 1:] *= -1.0

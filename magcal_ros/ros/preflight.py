@@ -17,7 +17,7 @@ from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.geometry.frame_tree import FrameTreeError
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -67,7 +67,7 @@ class SensorTopic:
     def size(self) -> float:
         """Median length of the vector, in the unit of the topic; NaN without samples."""
         vectors = [s.force if isinstance(s, ImuSample) else s.field for s in self.samples]
-        return float(np.median(np.linalg.norm(vectors, axis=1))) if vectors else math.nan
+        return usual_size(np.array(vectors)) if vectors else math.nan
 
 
 class Preflight(NamedTuple):
