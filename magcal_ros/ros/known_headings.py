@@ -17,7 +17,6 @@ from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.session_tuning import KNOWN, SESSION
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.calibration_store import Tell
-from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
@@ -42,11 +41,9 @@ NO_DECLINATION = (
 class HeadingTopic:
     """Uses the topic `heading` for the fused yaw and for calibration in a drive."""
 
-    def __init__(
-        self, magnetometer: Magnetometer, pipeline: HeadingPipeline, worker: WorkerProcess
-    ) -> None:
-        node = pipeline.node
-        self._magnetometer, self._pipeline, self._worker = magnetometer, pipeline, worker
+    def __init__(self, magnetometer: Magnetometer, worker: WorkerProcess) -> None:
+        pipeline = self._pipeline = magnetometer.pipeline
+        self._magnetometer, self._worker, node = magnetometer, worker, pipeline.node
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_received = False
@@ -191,11 +188,11 @@ NO_POSE = (
 class KnownHeadings:
     """Calibrates a robot at rest at known headings; `antenna` uses the topic."""
 
-    def __init__(self, magnetometer: Magnetometer, pipeline: HeadingPipeline) -> None:
-        self._magnetometer, self._pipeline = magnetometer, pipeline
+    def __init__(self, magnetometer: Magnetometer) -> None:
+        self._magnetometer, self._pipeline = magnetometer, magnetometer.pipeline
         self.worker = WorkerProcess()
         """For fits of known headings, which run in the thread of all fits, one at a time."""
-        self.antenna = HeadingTopic(magnetometer, pipeline, self.worker)
+        self.antenna = HeadingTopic(magnetometer, self.worker)
         self._measurements: tuple[KnownHeadingMeasurement, ...] = ()
         self._epoch = 0
         self._answer = ""

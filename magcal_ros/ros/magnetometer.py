@@ -16,7 +16,6 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_machine as tm
@@ -68,7 +67,7 @@ class Magnetometer:
         robot: SelfTurn | None = None,
     ) -> None:
         node = self._node = pipeline.node
-        self._owner, self._pipeline = owner, pipeline
+        self.owner, self.pipeline = owner, pipeline
         self.number, self._topic = number, topic_of(number)
         self.topic = node.resolve_topic_name(self._topic)
         streams = Streams(pipeline.settings.max_gap)
@@ -76,7 +75,7 @@ class Magnetometer:
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
         self.store = CalibrationStore(name, *kept)
-        self.control = Control(streams, self, owner, pipeline, robot)
+        self.control = Control(self, robot)
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
@@ -93,14 +92,14 @@ class Magnetometer:
         """Note the first message of a sensor, or a new frame."""
         frames = self.inputs.field.frame, self.inputs.imu.frame
         self.control.tell(self.control.turn.note_sensors, *map(identifier, frames))
-        self._owner.sensors_changed(self)
+        self.owner.sensors_changed(self)
         if self.inputs.field.last_received is not None:
             self.store.note_sensor(self.inputs.field.frame)
 
-    def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:
+    def start(self) -> tm.Conclusion:
         """Start to collect a turn."""
-        settings = self._pipeline.current_settings(self.number, self.inputs.field.frame)
-        return self.control.start(settings, gyro)
+        settings = self.pipeline.current_settings(self.number, self.inputs.field.frame)
+        return self.control.start(settings)
 
     @property
     def acceptable(self) -> Calibration | str | None:
@@ -117,7 +116,7 @@ class Magnetometer:
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Put a calibration in force and save it; a success only if it is saved."""
-        self.store.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
+        self.store.put_in_force(calibration, self.pipeline.origin_of(self.inputs.field.frame))
         self.store.save(tell, with_backup)
 
     def reset(self) -> None:
@@ -131,7 +130,7 @@ class Magnetometer:
         """Return the prior knowledge for a drive; None while a turn is under way."""
         if self.control.turn.state is not tm.TurnState.IDLE:
             return None
-        return self._pipeline.current_settings(self.number, self.inputs.field.frame).knowledge
+        return self.pipeline.current_settings(self.number, self.inputs.field.frame).knowledge
 
     def describe_silence(self) -> str:
         """Return which sensor is missing, and what to check."""
@@ -142,7 +141,7 @@ class Magnetometer:
         self.compass = None if calibration is None else Compass(calibration)
         if self.out is not None:
             self.out.put_in_force(self.compass, magnetometer_frame)
-        self._owner.calibration_changed(self)
+        self.owner.calibration_changed(self)
 
     def _on_field(self, data: bytes) -> None:
         streams = self.inputs.streams
@@ -158,11 +157,11 @@ class Magnetometer:
         sample = arrived.sample
         if not streams.add_field(sample):
             return
-        self._owner.sample_came(self, sample)
+        self.owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
-            reading = self._pipeline.reading_of(self.compass, sample, streams)
-            self.out.publish(reading.field, arrived, self._pipeline.body_frame())
-            self._pipeline.take(self.number, reading, arrived)
+            reading = self.pipeline.reading_of(self.compass, sample, streams)
+            self.out.publish(reading.field, arrived, self.pipeline.body_frame())
+            self.pipeline.take(self.number, reading, arrived)
         if not streams.is_repeated:
             self.control.add(sample)
 
@@ -190,18 +189,11 @@ class Control:
     the state machine. Without a `robot`, no base is commanded.
     """
 
-    def __init__(
-        self,
-        streams: Streams,
-        magnetometer: Magnetometer,
-        owner: MagnetometerOwner,
-        pipeline: HeadingPipeline,
-        robot: SelfTurn | None,
-    ) -> None:
+    def __init__(self, magnetometer: Magnetometer, robot: SelfTurn | None) -> None:
         self._commands_robot = robot is not None
-        self._magnetometer, self._owner, self._pipeline = magnetometer, owner, pipeline
-        self._streams = streams
-        self._pairer = Pairer(streams)
+        self._magnetometer, self._streams = magnetometer, magnetometer.inputs.streams
+        self._owner, self._pipeline = magnetometer.owner, magnetometer.pipeline
+        self._pairer = Pairer(self._streams)
         self._worker = WorkerProcess()
         self.turn = tm.TurnMachine(robot, self._report)
         self._settings: Settings | None = None
@@ -212,10 +204,11 @@ class Control:
         """Call `listener` once with the conclusion of the present turn."""
         self._listeners.append(listener)
 
-    def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> tm.Conclusion:
+    def start(self, settings: Settings) -> tm.Conclusion:
         """Begin a turn; refused during another turn."""
         turns_itself = settings.rotation.enabled and self._commands_robot
         speed = settings.rotation.speed if turns_itself else None
+        gyro = self._pipeline.up.gyro_at_rest
         asked = settings.knowledge, settings.method, settings.accumulate
         answer = self.tell(self.turn.open, TurnRequest(settings.limits, *asked, speed, gyro), now())
         if answer.success:

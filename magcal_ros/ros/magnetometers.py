@@ -17,13 +17,11 @@ from std_srvs.srv import Trigger
 from magcal_ros.core.assessment.grading import shown
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
-from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.heading.several_compasses import CompassWeight
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.files.disk import printable
 from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
-from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
@@ -32,8 +30,8 @@ Ask = Callable[[Tell], object]
 class Magnetometers:
     """The magnetometers that publish: their common turns, and their parts in the heading."""
 
-    def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
-        self._compasses = several
+    def __init__(self, first: Magnetometer) -> None:
+        self._pipeline, self._compasses = first.pipeline, first.pipeline.compasses
         self.active = [first]
         """The first magnetometer, and the further ones that have published, by number."""
 
@@ -56,18 +54,13 @@ class Magnetometers:
         """Put the calibrations in the files in force."""
         ask_all({each.topic: each.store.load for each in self.active}, tell)
 
-    def accept(
-        self, proposal: Calibration | None, tell: Tell, say: Callable[[str], object]
-    ) -> None:
-        """Put the refused calibrations in force; for the first magnetometer rather a `proposal`.
-
-        `say` takes a line for the log on each of them.
-        """
+    def accept(self, proposal: Calibration | None, tell: Tell) -> None:
+        """Put the refused calibrations in force; for the first magnetometer rather a `proposal`."""
         asked: dict[str, Ask] = {}
         for each in self.active:
             found = proposal if proposal is not None and each is self.active[0] else each.acceptable
             if found is not None:
-                asked[each.topic] = partial(_put_in_force, each, found, found is proposal, say)
+                asked[each.topic] = partial(_put_in_force, each, found, found is proposal)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
@@ -75,23 +68,24 @@ class Magnetometers:
         else:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
 
-    def start(self, gyro: GyroAtRest | None) -> Conclusion:
+    def start(self) -> Conclusion:
         """Begin a turn of all magnetometers that publish."""
         first = self.active[0]
         if self.state is not TurnState.IDLE and first.control.turn.state is TurnState.IDLE:
             words = f"already {self.state.value} the turn of another magnetometer: wait"
             return Conclusion(False, words)
-        opened = first.start(gyro)
+        opened = first.start()
         for each in self.others if opened.success else ():
-            each.start(gyro)
+            each.start()
         return opened
 
-    def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
+    def look(self) -> None:
         """Update the magnetometers that publish, once a second."""
+        node, settings = self._pipeline.node, self._pipeline.settings
         # All have the same IMU.
         sensors = [self.active[0].inputs.imu, *(each.inputs.field for each in self.active)]
         for sensor in sensors:
-            sensor.look(count_publishers(sensor.topic))
+            sensor.look(node.count_publishers(sensor.topic))
         for each in self.active:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look()
@@ -205,13 +199,9 @@ class Magnetometers:
 
 
 def _put_in_force(
-    magnetometer: Magnetometer,
-    found: Calibration | str,
-    is_proposal: bool,
-    say: Callable[[str], object],
-    tell: Tell,
+    magnetometer: Magnetometer, found: Calibration | str, is_proposal: bool, tell: Tell
 ) -> None:
-    """Put a calibration in force and log it with `say`, or answer why it must not be."""
+    """Put a calibration in force and log it, or answer why it must not be."""
     if isinstance(found, str):
         tell(Conclusion(False, found))
         return
@@ -221,7 +211,8 @@ def _put_in_force(
     words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
 
     def note(conclusion: Conclusion) -> None:
-        say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
+        log = magnetometer.pipeline.node.get_logger()
+        log.info(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
         tell(conclusion)
 
     magnetometer.use(found.accepted_by_person(), note)

@@ -55,9 +55,9 @@ class Calibrator(Node):
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
         self._control, self._store = first.control, first.store
-        self._self_calibration = SelfCalibrationRunner(self, first)
-        self._known = KnownHeadings(first, pipeline)
-        self._magnetometers = Magnetometers(first, pipeline.compasses)
+        self._self_calibration = SelfCalibrationRunner(first)
+        self._known = KnownHeadings(first)
+        self._magnetometers = Magnetometers(first)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
@@ -75,17 +75,14 @@ class Calibrator(Node):
         self._publish_status()
 
     def _offer_services(self) -> None:
-        magnetometers = self._magnetometers
-        say = self.get_logger().info
+        magnetometers, machine = self._magnetometers, self._self_calibration.machine
         services: dict[str, Ask] = {
             "calibrate": self._calibrate,
             "start": at_once(self._start),
             "finish": magnetometers.finish,
             "cancel": at_once(magnetometers.cancel),
             "reset": at_once(self._reset),
-            "accept": lambda tell: magnetometers.accept(
-                self._self_calibration.machine.proposal, tell, say
-            ),
+            "accept": lambda tell: magnetometers.accept(machine.proposal, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
@@ -136,7 +133,7 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._self_calibration.on_field(at_rest, self._travel)
+            self._self_calibration.on_field(at_rest)
             self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
@@ -149,7 +146,7 @@ class Calibrator(Node):
             self._known.forget()
 
     def _start(self) -> Conclusion:
-        opened = self._magnetometers.start(self._up.gyro_at_rest)
+        opened = self._magnetometers.start()
         if opened.success:
             self.get_logger().info("a turn begins")
             self._tick.reset()
@@ -220,12 +217,11 @@ class Calibrator(Node):
         # Results that came while the node had no executor.
         for thread in (self._pipeline.fits, self._pipeline.files):
             thread.deliver()
-        settings = self._table.settings
-        self._magnetometers.look(self.count_publishers, settings)
+        self._magnetometers.look()
         self._pipeline.follow(self._store, self._control.turn.state)
         self._reference.refresh()
         self._known.look()
-        self._self_calibration.follow(settings.self_calibration, settings.report_folder)
+        self._self_calibration.follow()
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
             self._store.keep(news)

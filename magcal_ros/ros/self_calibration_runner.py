@@ -8,18 +8,15 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rclpy.node import Node
-
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode, Watch
+from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Watch
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
-from magcal_ros.ros.vehicle import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
@@ -32,8 +29,10 @@ IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process
 class SelfCalibrationRunner:
     """Runs self-calibration for one magnetometer."""
 
-    def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
-        self._magnetometer, self._say = magnetometer, node.get_logger().info
+    def __init__(self, magnetometer: Magnetometer) -> None:
+        self._magnetometer, self._pipeline = magnetometer, magnetometer.pipeline
+        node = self._pipeline.node
+        self._say = node.get_logger().info
         self.machine = SelfCalibration()
         self._pairer = Pairer(magnetometer.inputs.streams, counts=False)
         self._jobs = BackgroundThread(node, "magcal-keep")
@@ -41,19 +40,18 @@ class SelfCalibrationRunner:
         self._idle = 0
         self.lost = 0  # number of fits that failed
         self.problem = ""  # the failure of the last fit; empty if it succeeded
-        self._reports = NO_REPORTS
 
-    def on_field(self, sample: FieldSample, travel: Travel) -> None:
+    def on_field(self, sample: FieldSample) -> None:
         """Take a field sample, and the state of the vehicle."""
         self._pairer.offer(sample)
         for pair in self._pairer.take():
-            if self.machine.add(pair, travel.estimator.speed):
+            if self.machine.add(pair, self._pipeline.travel.estimator.speed):
                 self._look()
 
-    def follow(self, mode: Mode, reports: str) -> None:
-        """Take the mode and the folder of the reports, once a second."""
+    def follow(self) -> None:
+        """Take the mode, once a second."""
+        mode = self._pipeline.settings.self_calibration
         self._jobs.deliver()
-        self._reports = reports
         self._idle += 1
         if self.machine.mode is not mode:
             self.machine.mode = mode
@@ -121,7 +119,8 @@ class SelfCalibrationRunner:
 
     def _leave_page(self, calibration: Calibration) -> None:
         """Start to write a page on the drive, its samples and the decisions."""
-        if self._reports == NO_REPORTS:
+        reports = self._pipeline.settings.report_folder
+        if reports == NO_REPORTS:
             return
         from magcal_ros.core.self_calibration.drive_replay import DriveReplay
 
@@ -129,7 +128,7 @@ class SelfCalibrationRunner:
         decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.store.calibration
         replay = DriveReplay(decisions, before, calibration, moved, moved, machine.in_words, None)
-        log, reports = machine.recorder.log(), self._reports
+        log = machine.recorder.log()
         self._jobs.run(
             lambda: self.worker.run(write_page, reports_of(reports), replay, log),
             lambda page: self._tell(f"report: {page}"),

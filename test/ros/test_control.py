@@ -44,7 +44,8 @@ class House:
 
     def __init__(self):
         self.errors, self.reporter, self.biases = [], self, []
-        self.callback_errors = self
+        self.owner = self.pipeline = self.inputs = self.callback_errors = self
+        self.streams = Streams(0.2)
         self.fits = self.files = AtOnce()
         self.travel = self.estimator = self.motors = self.up = self
 
@@ -61,6 +62,7 @@ class House:
         return math.nan
 
     currents = ()
+    gyro_at_rest = None
 
     def describe_silence(self):
         return "/mag has been silent"
@@ -93,8 +95,7 @@ def settings_of_a_turn():
 
 def begun_in(house):
     """Return the control of an active turn."""
-    streams = Streams(0.2)
-    control = Control(streams, house, house, house, SelfTurn())
+    streams, control = house.streams, Control(house, SelfTurn())
     assert control.start(settings_of_a_turn()).success
     ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=25.0, steps_per_field=2)
     for _ in range(400):
@@ -196,7 +197,7 @@ def test_a_memory_error_when_the_turn_is_checked(monkeypatch, what):
 
 def test_a_turn_that_fails_to_start_is_not_active(monkeypatch):
     house = House()
-    control = Control(Streams(0.2), house, house, house, SelfTurn())
+    control = Control(house, SelfTurn())
     monkeypatch.setattr(Session, "progress", no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.start(settings_of_a_turn())

@@ -34,7 +34,8 @@ class House:
     def __init__(self):
         self.reporter = self.fits = self.files = self
         self.travel = self.estimator = self.motors = self
-        self.up = UpFollower()
+        self.owner = self.pipeline = self.inputs = self
+        self.up, self.streams = UpFollower(), Streams(0.2)
 
     def use(self, _, tell):
         tell(Conclusion(True, ""))
@@ -56,8 +57,8 @@ class House:
 
 def live(samples, knowledge):
     """The result of the node's control with the samples."""
-    streams, house = Streams(0.2), House()
-    control = Control(streams, house, house, house, SelfTurn())
+    house = House()
+    streams, control = house.streams, Control(house, SelfTurn())
     settings = Settings.of({spec.name: spec.default for spec in PARAMETERS})
     assert control.start(dataclasses.replace(settings, knowledge=knowledge)).success
     for sample in samples:

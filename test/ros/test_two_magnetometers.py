@@ -196,17 +196,20 @@ def test_turns_succeed_if_one_of_them_does():
 def test_two_publishers_of_the_common_imu_are_reported_and_its_rate_is_right():
     now = [0.0]
     imu = Sensor("/imu", lambda: now[0])
-    each = [
-        SimpleNamespace(number=k, inputs=Inputs(imu, Sensor(f"/mag_{k}"), Streams(0.2)))
-        for k in (1, 2)
-    ]
-    both = Magnetometers(each[0], SeveralCompasses())
+    pipeline = SimpleNamespace(
+        node=SimpleNamespace(count_publishers=lambda _: 1),
+        settings=SimpleNamespace(max_gap=0.2, accumulate=True),
+        compasses=SeveralCompasses(),
+    )
+    inputs = [Inputs(imu, Sensor(f"/mag_{k}"), Streams(0.2)) for k in (1, 2)]
+    each = [SimpleNamespace(number=k, inputs=i, pipeline=pipeline) for k, i in enumerate(inputs)]
+    both = Magnetometers(each[0])
     both.add(each[1])
     for _ in range(5):
         for k in range(10):
             imu.note_message("ab"[k % 2])
         now[0] += 1.0
-        both.look(lambda _: 1, SimpleNamespace(max_gap=0.2, accumulate=True))
+        both.look()
     assert imu.rate == 10.0
     assert "the frame of /imu changes between 'a' and 'b'" in imu.complaint()
 
