@@ -82,8 +82,7 @@ def read_ardupilot(
         raise FileError(
             f"{printable(str(path))} is not a DataFlash log: its first bytes are not those of one"
         )
-    deadline = logs.Deadline(path, progress)
-    with logs.without_output(path, deadline):
+    with logs.limited(path, progress) as deadline:
         if telemetry:
             tables = _tables(_telemetry(path, deadline), TRANSMITTED)
         else:

@@ -42,10 +42,11 @@ STANDARD_ERROR = 2  # file descriptor
 EVERY = 1000  # messages, or pieces of a file, between two checks of the time
 
 
-class Deadline:
-    """Ends a reading that takes too long, and reports its progress."""
+class Deadline(io.TextIOBase):
+    """Ends a reading that takes too long, reports its progress, and discards its output."""
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
+        super().__init__()
         self._path, self._progress = path, progress
         self._end = time.monotonic() + LONGEST_READING
 
@@ -62,6 +63,11 @@ class Deadline:
                 f"reading {printable(str(self._path))} takes longer than {LONGEST_READING:g} s: it "
                 "is damaged or too long. Cut it with the autopilot's own tools, or record again"
             )
+
+    def write(self, text: str) -> int:
+        """Check the time: libraries print a line for each damaged part."""
+        self.check()
+        return len(text)
 
 
 @dataclass
@@ -238,15 +244,15 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 
 @contextlib.contextmanager
-def without_output(path: Path, deadline: Deadline) -> Iterator[None]:
-    """Discard the output of a library, and raise its errors as `FileError`."""
-    output = _DiscardedOutput(deadline)
+def limited(path: Path, progress: Progress | None) -> Iterator[Deadline]:
+    """Discard the output of a library within a deadline, and raise its errors as `FileError`."""
+    deadline = Deadline(path, progress)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),
-        contextlib.redirect_stdout(output),
-        contextlib.redirect_stderr(output),
+        contextlib.redirect_stdout(deadline),
+        contextlib.redirect_stderr(deadline),
     ):
-        yield
+        yield deadline
 
 
 @contextlib.contextmanager
@@ -265,15 +271,3 @@ def without_native_errors() -> Iterator[None]:
         os.dup2(kept, STANDARD_ERROR)
         os.close(nowhere)
         os.close(kept)
-
-
-class _DiscardedOutput(io.TextIOBase):
-    """Discards the output of a library, and checks the time limit at each write."""
-
-    def __init__(self, deadline: Deadline) -> None:
-        super().__init__()
-        self._deadline = deadline
-
-    def write(self, text: str) -> int:
-        self._deadline.check()
-        return len(text)

@@ -77,8 +77,7 @@ def read_px4(
             f"{printable(str(path))} is not a ULog: its first bytes are not those of one"
         )
     ulog = logs.library(path, "pyulog", "px4").ULog
-    deadline = logs.Deadline(path, progress)
-    with logs.without_output(path, deadline), _LimitedFile(path, deadline) as handle:
+    with logs.limited(path, progress) as deadline, _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
     return tables.recording(path, imu, mag)
 
