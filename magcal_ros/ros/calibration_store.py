@@ -82,12 +82,12 @@ class CalibrationStore:
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
 
-    def keep(self, learnt: VehicleYaw | MotorField) -> None:
-        """Store a yaw or a motor field with the calibration in force, if there is one.
+    def keep(self, learnt: VehicleYaw | MotorField | None) -> None:
+        """Store a yaw or a motor field with the calibration in force, if there are both.
 
         `apply` is not called, because the caller uses the value already.
         """
-        if self.calibration is None or self.origin is None:
+        if learnt is None or self.calibration is None or self.origin is None:
             return
         if isinstance(learnt, VehicleYaw):
             self.origin = replace(self.origin, vehicle_yaw=learnt)

@@ -241,14 +241,17 @@ class HeadingPipeline:
             self.reference.use(leading)
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, store: CalibrationStore, turn: TurnState) -> None:
-        """Once a second, take the parameters, and use and store the learnt field of the motors."""
+    def follow(self, store: CalibrationStore, turn: TurnState, announcer: Announcer) -> None:
+        """Once a second, take the parameters, and use and store what was learnt while driving."""
+        # Results that came while the node had no executor.
+        for thread in (self.fits, self.files):
+            thread.deliver()
         self.fused.patience = self.settings.patience
         kept = None if store.calibration is None else store.calibration.motors
-        is_turning = turn is not TurnState.IDLE
-        learnt = self.motors.follow(self.settings.self_calibration, is_turning, kept)
-        if learnt is not None:
-            store.keep(learnt)
+        mode, is_turning = self.settings.self_calibration, turn is not TurnState.IDLE
+        store.keep(self.motors.follow(mode, is_turning, kept))
+        self.reference.refresh()
+        store.keep(self.travel.follow(self.reference.field, announcer))
 
     def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""

@@ -214,17 +214,10 @@ class Calibrator(Node):
         self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
-        # Results that came while the node had no executor.
-        for thread in (self._pipeline.fits, self._pipeline.files):
-            thread.deliver()
         self._magnetometers.look()
-        self._pipeline.follow(self._store, self._control.turn.state)
-        self._reference.refresh()
+        self._pipeline.follow(self._store, self._control.turn.state, self._announcer)
         self._known.look()
         self._self_calibration.follow()
-        news = self._travel.follow(self._reference.field, self._announcer)
-        if news is not None:
-            self._store.keep(news)
         outcome = self._control.turn.last_outcome
         complaints = [
             *self._inputs.complaints(),
@@ -240,9 +233,7 @@ class Calibrator(Node):
                 each.out.repeat_bias(now)
         statuses = [
             status.calibration_diagnostic(self._first),
-            status.field_diagnostic(
-                self._pipeline.headings.reading, self._pipeline.leading, self._reference.reference
-            ),
+            status.field_diagnostic(self._pipeline),
             self._pipeline.fused.diagnostic(),
             status.watch_diagnostic(self._self_calibration),
             *self._travel.diagnostics(),
@@ -256,18 +247,7 @@ class Calibrator(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        parts = {
-            "turns_itself": self._table.settings.rotation.enabled,
-            "vehicle_yaw_offset": self._travel.yaw_facts(),
-            "drive": self._travel.facts(),
-            "self_calibration": self._self_calibration.facts(),
-            "motors": self._pipeline.motors.facts(self._first.compass),
-            "known_headings": self._known.facts(),
-        }
-        reference = self._reference.reference
-        text = status.status_json(
-            self._magnetometers, reference, self._self_calibration.watch, parts
-        )
+        text = status.status_json(self._magnetometers, self._self_calibration, self._known)
         if text != self._status:
             self._status = text
             self._status_out.publish(String(data=text))

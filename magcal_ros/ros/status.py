@@ -12,16 +12,14 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.reference import Reference
-from magcal_ros.core.heading.compass import CompassReading
 from magcal_ros.core.self_calibration.jobs import Watch
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.disk import printable
 from magcal_ros.ros.calibration_store import CalibrationStore
-from magcal_ros.ros.heading_pipeline import Inputs
+from magcal_ros.ros.heading_pipeline import HeadingPipeline, Inputs
+from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
@@ -29,16 +27,11 @@ from magcal_ros.ros.wire import diagnostic, yaw_values
 
 
 def status_json(
-    magnetometers: Magnetometers,
-    reference: Reference,
-    watch: Watch | None,
-    parts: Mapping[str, Any],
+    magnetometers: Magnetometers, runner: SelfCalibrationRunner, known: KnownHeadings
 ) -> str:
-    """Return the content of `~/status`: one JSON object with stable keys and displayed units.
-
-    `parts` are further entries.
-    """
-    first = magnetometers.active[0]
+    """Return the content of `~/status`: one JSON object with stable keys and displayed units."""
+    first, watch = magnetometers.active[0], runner.watch
+    pipeline, reference = first.pipeline, first.pipeline.reference.reference
     store, streams, turn = first.store, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:
@@ -63,7 +56,12 @@ def status_json(
             "field": {drop.value: n for drop, n in streams.field_drops.items()},
         },
         "complaints": first.inputs.complaints(),
-        **parts,
+        "turns_itself": pipeline.settings.rotation.enabled,
+        "vehicle_yaw_offset": pipeline.travel.yaw_facts(),
+        "drive": pipeline.travel.facts(),
+        "self_calibration": runner.facts(),
+        "motors": pipeline.motors.facts(first.compass),
+        "known_headings": known.facts(),
     }
     return json.dumps(content, ensure_ascii=False)
 
@@ -158,10 +156,10 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
     return diagnostic("Calibration", message, values, level)
 
 
-def field_diagnostic(
-    reading: CompassReading | None, calibration: Calibration | None, reference: Reference
-) -> DiagnosticStatus:
+def field_diagnostic(pipeline: HeadingPipeline) -> DiagnosticStatus:
     """Return the diagnostic of the corrected field, compared with calibration and reference."""
+    reading, calibration = pipeline.headings.reading, pipeline.leading
+    reference = pipeline.reference.reference
     values, level = dict[str, str](), DiagnosticStatus.OK
     if calibration is None:
         message = "no corrected field before a calibration is in force"
