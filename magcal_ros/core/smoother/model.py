@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -191,21 +192,20 @@ def _measured(
     linear: Residuals,
     scale: FloatArray,
     more: FloatArray | float = 0.0,
-    at_rest: tuple[str, BoolArray] | None = None,
+    others: Sequence[tuple[str, BoolArray]] = (),
 ) -> WeightedResiduals:
     """Weight residuals of one noise by the inverse of the variance size² `scale` + `more`.
 
-    An infinite scale (k,) leaves a residual out. `at_rest` is the noise of some residuals (k,)
-    instead of this one.
+    An infinite scale (k,) leaves a residual out. `others` are other noises, each of some residuals
+    (k,), instead of this one.
     """
     size: FloatArray | float = point.sizes[name]
     freedom: FloatArray | float = point.freedom(model, name)
     sized = {name: np.ones(len(scale), dtype=np.bool_)}
-    if at_rest is not None:
-        rest, rows = at_rest
-        size = np.where(rows, point.sizes[rest], size)
-        freedom = np.where(rows, point.freedom(model, rest), freedom)
-        sized = {name: ~rows, rest: rows}
+    for other, rows in others:
+        size = np.where(rows, point.sizes[other], size)
+        freedom = np.where(rows, point.freedom(model, other), freedom)
+        sized = {**sized, name: sized[name] & ~rows, other: rows}
     return WeightedResiduals(linear, size**2 * scale + more, freedom, sized)
 
 
@@ -235,7 +235,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
             factors.process(state, BODY_FIELD, correlation),
             1.0 - correlation**2,
             LEAST_VARIANCE,
-            ("body_field", still[1:]),
+            [("body_field", still[1:])],
         ),
     }
     if nodes.tied_to is not None:
@@ -254,6 +254,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
         found[name] = measured(name, gyro.part(axes), seconds, unseen[:, axes].mean(axis=1))
     stands = still[1:] & still[:-1] & model.kind.traffic
     correlation = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
+    again = places.is_repeated
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
@@ -262,7 +263,7 @@ def weigh(model: Model, point: Point) -> dict[str, WeightedResiduals]:
             factors.process(state, STREET, correlation),
             np.where(stands, seconds, 1.0 - correlation**2),
             LEAST_VARIANCE,
-            ("traffic", stands),
+            [("revisited", again[1:] & again[:-1] & ~stands), ("traffic", stands)],
         ),
         **_motion(model, point, 0),
         **_motion(model, point, 1),

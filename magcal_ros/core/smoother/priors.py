@@ -248,7 +248,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         sigma, spread, most = EXACT_IRON
         nothing = {
             name: found.sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
-            for name in ("street", "body_field", "motors_noise")
+            for name in ("street", "revisited", "body_field", "motors_noise")
         }
         found = replace(
             found.with_scales({"soft_iron": sigma}),

@@ -61,10 +61,6 @@ def noise_sizes(
         square = part.weight * np.sum(part.linear.residual**2, axis=1)
         for name, rows in part.sized.items():
             counted = rows & np.isfinite(part.variance)
-            if name == "street":
-                # Where the path repeats, so do the residuals: the centres count alone.
-                repeated = point.places.is_repeated
-                counted &= ~(repeated[:-1] & repeated[1:])
             total, taken = float(np.sum(square[counted])), float(np.sum(spent[counted]))
             number = int(counted.sum()) * part.linear.residual.shape[1]
             if name == "street" and len(point.places):

@@ -234,6 +234,9 @@ SIZES: dict[str, Size] = {
         0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003", most=0.004
     ),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
+    "revisited": Size(
+        1.0, 1.0, 6.0, "µT", "the same where the path repeats, beyond that of the places", "streets"
+    ),
     "traffic": Size(
         0.05, 1.5, 6.0, "µT/√s", "change of the local disturbance at rest", "none to .3 in traffic"
     ),
