@@ -38,10 +38,10 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Reading, SampleCollector
-from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.disk import FileError, printable, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
+from magcal_ros.files.wire import FIELD_TYPE, IMU_TYPE
 
 if TYPE_CHECKING:
     from magcal_ros.ros.preflight import Listener

@@ -18,7 +18,7 @@ from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
-from magcal_ros.files.wire import CDR, ROS1, Format, is_plain_cdr, seconds
+from magcal_ros.files.wire import CDR, FIELD_TYPE, IMU_TYPE, ROS1, Format, is_plain_cdr, seconds
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
-FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"

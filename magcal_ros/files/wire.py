@@ -21,6 +21,8 @@ from magcal_ros.core.samples.streams import (
     VelocitySample,
 )
 
+IMU_TYPE, FIELD_TYPE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+
 ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
 NO_RATE: Triple = (math.nan, math.nan, math.nan)

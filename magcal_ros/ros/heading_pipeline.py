@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as member
 
@@ -23,7 +23,8 @@ from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import identifier
-from magcal_ros.files.wire import FieldArrival
+from magcal_ros.files.disk import printable
+from magcal_ros.files.wire import IMU_TYPE, FieldArrival
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
@@ -52,6 +53,8 @@ class Sensor:
     messages: int = 0
     publishers: int = 1
     changes: int = 0
+    kind: str = ""  # the message type of the subscription
+    published: frozenset[str] = frozenset()  # the message types on the topic
     _frame_before: str = ""
     _looks: deque[tuple[float, int, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
     """Time, messages and changes of the frame at the last looks."""
@@ -77,9 +80,9 @@ class Sensor:
         self.frame = frame
         return True
 
-    def look(self, publishers: int = 1) -> None:
-        """Note the numbers of publishers, messages and changes of the frame, once a second."""
-        self.publishers = publishers
+    def look(self, published: Sequence[str] = ("",)) -> None:
+        """Note messages, changes of the frame and all publishers' message types, once a second."""
+        self.publishers, self.published = len(published), frozenset(published)
         self._looks.append((self.clock(), self.messages, self.changes))
 
     def age(self) -> float:
@@ -90,6 +93,11 @@ class Sensor:
         """Return what is wrong with the topic and what to check; empty if nothing is."""
         if self.last_received is None:
             why = "check that the driver runs and the topic is remapped to it"
+            if self.published and self.kind not in self.published:
+                others = " and ".join(sorted(map(printable, self.published)))
+                why = (
+                    f"{others} is published there, not {self.kind}; remap it to the sensor's topic"
+                )
             return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:
@@ -208,7 +216,7 @@ class HeadingPipeline:
     def __init__(self, node: Node, table: Parameters, group: SensorGroup) -> None:
         self.node, self._table, self.sensor_group = node, table, group
         self.fits, self.files = (BackgroundThread(node, f"magcal-{n}") for n in ("fit", "files"))
-        self.imu = Sensor(node.resolve_topic_name("imu/data_raw"))
+        self.imu = Sensor(node.resolve_topic_name("imu/data_raw"), kind=IMU_TYPE)
         self.up = UpFollower()
         self.reference = ReferenceSource(node, table)
         self.frames = SensorFrames(node, lambda: table.settings)

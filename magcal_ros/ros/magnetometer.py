@@ -22,6 +22,7 @@ from magcal_ros.core.session import turn_machine as tm
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.session import TurnRequest
 from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.wire import FIELD_TYPE
 from magcal_ros.ros.announcer import CallbackErrors
 from magcal_ros.ros.calibration_store import CalibrationStore, Tell
 from magcal_ros.ros.guard import Rotator
@@ -71,7 +72,7 @@ class Magnetometer:
         self.number, self._topic = number, topic_of(number)
         self.topic = node.resolve_topic_name(self._topic)
         streams = Streams(pipeline.settings.max_gap)
-        self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic), streams)
+        self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic, kind=FIELD_TYPE), streams)
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
         self.store = CalibrationStore(name, *kept)

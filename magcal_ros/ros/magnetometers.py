@@ -85,7 +85,8 @@ class Magnetometers:
         # All have the same IMU.
         sensors = [self.active[0].inputs.imu, *(each.inputs.field for each in self.active)]
         for sensor in sensors:
-            sensor.look(node.count_publishers(sensor.topic))
+            infos = node.get_publishers_info_by_topic(sensor.topic)
+            sensor.look([info.topic_type for info in infos])
         for each in self.active:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look()

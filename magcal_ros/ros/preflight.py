@@ -22,9 +22,9 @@ from magcal_ros.core.geometry.frame_tree import FrameTreeError
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
-from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.disk import printable
+from magcal_ros.files.wire import FIELD_TYPE, IMU_TYPE
 from magcal_ros.ros.sensor_frames import DescriptionListener
 from magcal_ros.ros.wire import read_field, read_imu
 

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+import rclpy
+from rclpy.context import Context
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from support import PATIENCE, REFERENCE, calibrate_quickly, store_calibration
@@ -110,6 +112,29 @@ def test_a_missing_imu_is_reported_with_the_topic(stage):
     answer = actor.calibrate()
     assert not answer.success
     assert "nothing has arrived on /imu/data_raw" in answer.message
+
+
+def complaints(actor):
+    return actor.status.get("complaints", [])
+
+
+def test_a_topic_of_another_type_is_named(stage):
+    actor = stage(parameters=IMPATIENT)
+    actor.mangle = lambda sample: [sample] if isinstance(sample, ImuSample) else []
+    actor.node.destroy_publisher(actor.source._field_out)
+    # DDS refuses a second type of a topic in the same participant.
+    context = Context()
+    context.init()
+    try:
+        driver = rclpy.create_node("driver", context=context)
+        driver.create_publisher(Imu, "imu/mag", 10)
+        actor.run(PATIENCE, stop=lambda: any("published there" in c for c in complaints(actor)))
+        answer = actor.calibrate()
+    finally:
+        context.shutdown()
+    assert not answer.success
+    wrong = "sensor_msgs/msg/Imu is published there, not sensor_msgs/msg/MagneticField"
+    assert f"nothing has arrived on /imu/mag: {wrong}" in answer.message
 
 
 @pytest.mark.nightly

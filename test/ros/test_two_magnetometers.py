@@ -197,7 +197,9 @@ def test_two_publishers_of_the_common_imu_are_reported_and_its_rate_is_right():
     now = [0.0]
     imu = Sensor("/imu", lambda: now[0])
     pipeline = SimpleNamespace(
-        node=SimpleNamespace(count_publishers=lambda _: 1),
+        node=SimpleNamespace(
+            get_publishers_info_by_topic=lambda _: [SimpleNamespace(topic_type="")]
+        ),
         settings=SimpleNamespace(max_gap=0.2, accumulate=True),
         compasses=SeveralCompasses(),
     )
