@@ -75,14 +75,14 @@ class Calibrator(Node):
         self._publish_status()
 
     def _offer_services(self) -> None:
-        magnetometers, machine = self._magnetometers, self._self_calibration.machine
+        magnetometers, found = self._magnetometers, self._self_calibration
         services: dict[str, Ask] = {
             "calibrate": self._calibrate,
             "start": at_once(self._start),
             "finish": magnetometers.finish,
             "cancel": at_once(magnetometers.cancel),
             "reset": at_once(self._reset),
-            "accept": lambda tell: magnetometers.accept(machine.proposal, tell),
+            "accept": lambda tell: magnetometers.accept(found.proposal, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),

@@ -20,9 +20,11 @@ from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
+    from magcal_ros.core.calibrate import Outcome
     from magcal_ros.core.self_calibration.drive_replay import DriveReplay
 
 NICENESS = 10  # of the worker process, so that other processes have priority
+NEWER_FIT = "a calibration is proposed, but ~/accept puts the fit of the later turn in force"
 IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process is ended
 
 
@@ -38,6 +40,7 @@ class SelfCalibrationRunner:
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
+        self._fit_before: Outcome | None = None  # the last fit of a turn before the proposal
         self.lost = 0  # number of fits that failed
         self.problem = ""  # the failure of the last fit; empty if it succeeded
 
@@ -60,6 +63,17 @@ class SelfCalibrationRunner:
             self.worker.stop()
 
     @property
+    def proposal(self) -> Calibration | None:
+        """The calibration that `~/accept` puts in force; None if there is none, or a newer fit.
+
+        A turn after the proposal that is refused offers its own fit to `~/accept`.
+        """
+        magnetometer = self._magnetometer
+        is_older = magnetometer.control.turn.last_outcome is not self._fit_before
+        has_fit = isinstance(magnetometer.acceptable, Calibration)
+        return None if is_older and has_fit else self.machine.proposal
+
+    @property
     def watch(self) -> Watch | None:
         """What the drive says about the calibration in force; None without one."""
         is_calibrated = self._magnetometer.store.calibration is not None
@@ -67,10 +81,11 @@ class SelfCalibrationRunner:
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""
-        machine, proposal = self.machine, self.machine.proposal
+        machine, proposal = self.machine, self.proposal
+        is_waiting = proposal is not machine.proposal
         return {
             "mode": machine.mode.value,
-            "doing": machine.in_words,
+            "doing": NEWER_FIT if is_waiting else machine.in_words,
             "fits_lost": self.lost,
             "proposal": None
             if proposal is None
@@ -108,6 +123,7 @@ class SelfCalibrationRunner:
                 continue
             self._leave_page(calibration)
             if kind is DecisionKind.PROPOSED:
+                self._fit_before = self._magnetometer.control.turn.last_outcome
                 self._tell("call ~/accept to put it in force")
                 continue
             # A refined calibration needs no backup: the backup of the one before it is kept.

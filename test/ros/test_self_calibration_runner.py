@@ -11,7 +11,7 @@ from simulated.drive import Iron, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 from simulated.turns import measure, turn
-from support import PATIENCE, REFERENCE, ROBOT, store_calibration
+from support import PATIENCE, REFERENCE, ROBOT, store_calibration, wait_until
 from test_travel import Car
 
 from magcal_ros.core import calibrate
@@ -89,6 +89,27 @@ class TestInTheNode:
             assert robot.answer(robot.call("accept")).success
         kept = [file.read_bytes() if file.exists() else None for file in backup_files(path)]
         assert kept == [before, None, None]
+
+    def test_the_newer_of_a_proposal_and_a_refused_turn_is_accepted(self, house, known):
+        runner, turn_machine = house._self_calibration, house._control.turn
+        wait_until(lambda: house._store.calibration)
+        _, calibration, _ = known
+        proposed = replace(calibration, noise_field=1e-6)
+        made = Decision(90.0, DecisionKind.PROPOSED, "it was better", proposed)
+        runner.machine.note = lambda _: [made]
+        runner.machine.proposal = proposed
+        outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(2)), ROBOT.knowledge())
+        turn_machine.last_outcome = outcome
+        runner._note(DriveResult(0.0))
+        assert runner.proposal is proposed
+        turn_machine.last_outcome = replace(outcome)  # of a later turn
+        assert runner.proposal is None
+        assert runner.facts()["proposal"] is None
+        assert "later turn" in runner.facts()["doing"]
+        house._magnetometers.accept(runner.proposal, lambda _: None)
+        assert house._store.calibration.noise_field == outcome.calibration.noise_field
+        assert runner.machine.proposal is None
+        assert "later turn" not in runner.facts()["doing"]
 
     def test_a_failed_job_is_reported_and_repeated(self, house, monkeypatch):
         runner, printed = house._self_calibration, []
