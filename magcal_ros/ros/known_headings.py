@@ -124,7 +124,12 @@ class HeadingTopic:
             from magcal_ros.core.session.at_known_heading import HeadingCollector
 
             self._collector = HeadingCollector(self._pipeline.up)
+        was_faulty = bool(self._collector.check.fault)
         self._collector.on_heading(sample)
+        if self._collector.check.fault and not was_faulty:
+            # The headings were wrong before the gyro showed it: nothing that used them is kept.
+            self.forget()
+            self._pipeline.fused.forget()
         self._received_at, self.is_received = time.monotonic(), True
         if self.collected is not None:
             self.collected.append(sample)

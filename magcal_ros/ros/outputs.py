@@ -218,7 +218,11 @@ class FusedOutput:
         if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
             self.yaw.use(calibration, self.patience)
         else:
-            self.yaw = None
+            self.forget()
+
+    def forget(self) -> None:
+        """Start again from the compass."""
+        self.yaw = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
         """Propagate the yaw to an IMU message, and publish it."""

@@ -208,6 +208,26 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     assert actor.status["state"] == "uncalibrated"
 
 
+def test_what_used_mirrored_antennas_is_forgotten_when_they_are_named(loaded):
+    """They turn the fused yaw for some seconds, until the gyro shows that they are wrong."""
+    actor = loaded(parameters={**PLACE, "known_heading.topic_north": "true_north"})
+    received, stated = [], []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", received.append, 100)
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: stated.append(str(array.status)), 10
+    )
+    Antennas(actor, lambda yaw: 0.5 * math.pi - yaw)
+    actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in stated))
+    turned_until = actor.ride.stamp
+    actor.run(PATIENCE, stop=lambda: bool(received) and seconds(received[-1]) > turned_until)
+    q = received[-1].orientation
+    true = actor.ride.magnetic_yaw - math.radians(DECLINATION)
+    assert abs(math.remainder(2.0 * math.atan2(q.z, q.w) - true, math.tau)) < math.radians(3.0)
+    assert actor.status["known_headings"]["topic"]["kept"] == 0
+    actor.run(PATIENCE, stop=lambda: "mirrored" in stated[-1])
+    assert "differs from the fused yaw" not in stated[-1]
+
+
 @pytest.mark.nightly
 def test_antennas_mounted_across_are_named_before_a_calibration(stage):
     actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
