@@ -286,6 +286,19 @@ class HeadingPipeline:
         """Return the IMU's frame."""
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
+    @property
+    def complaints(self) -> list[str]:
+        """Why the calibration in force may not fit the IMU, in words."""
+        made_for = self._origin.imu_frame if self._origin else ""
+        there = identifier(self.imu.frame)
+        if not made_for or not there or made_for == there:
+            return []
+        return [
+            f"the calibration in force gives the field in the axes of {made_for!r}, but the IMU's "
+            f"frame is {there!r}: calibrate again or, if the axes are the same, correct "
+            "frames.field_body in the file of the calibration"
+        ]
+
     def current_settings(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters for a turn of one magnetometer.
 

@@ -226,7 +226,8 @@ class Calibrator(Node):
             *self._known.antenna.complaints,
             *self._pipeline.headings.complaints(self._reference.field),
         ]
-        self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
+        others = self._magnetometers.complaints() + self._pipeline.complaints
+        self._announcer.complain(dict.fromkeys(complaints + others))
         now = self.get_clock().now().to_msg()
         for each in self._magnetometers.active:
             if each.out is not None:

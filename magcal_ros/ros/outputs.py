@@ -29,6 +29,7 @@ from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation, FieldU
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.coverage import Coverage
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_machine import TurnMachine, TurnState
 from magcal_ros.core.up.follower import UpFollower
@@ -288,7 +289,9 @@ class FusedOutput:
                 "in the driver"
             )
         elif self._follower.is_propagated:
-            why = " yet: no field has come" if self.yaw.heading() is None else ""
+            longest = STREAMS.longest_gyro_step
+            why = f" yet: no field has come with a stamp within {longest:g} s of the IMU's"
+            why = why if self.yaw.heading() is None else ""
         elif self._follower.gyro_is_whole:
             why = ": the IMU has no gyro"
         else:

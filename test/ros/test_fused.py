@@ -74,3 +74,20 @@ def test_without_a_gyro_nothing_is_published_and_this_is_reported(loaded):
     actor.run(PATIENCE, stop=lambda: len(reports) > 1)
     assert not received
     assert "no gyro" in diagnostic(reports).message
+
+
+def test_a_field_that_is_too_old_for_the_gyro_is_named(loaded):
+    actor = loaded()
+    reports = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", lambda _: None, 100)
+
+    def late(sample):
+        is_field = isinstance(sample, FieldSample)
+        return [sample._replace(stamp=sample.stamp - 0.8) if is_field else sample]
+
+    actor.mangle = late
+    actor.run(
+        PATIENCE, stop=lambda: any("with a stamp" in diagnostic([r]).message for r in reports)
+    )
+    assert "no field has come with a stamp within 0.5 s of the IMU's" in diagnostic(reports).message

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
 from support import PATIENCE, assert_silent
@@ -96,3 +96,19 @@ def test_another_sensor_is_reported_while_the_calibration_is_of_the_first(calibr
     message = received[-1].status[0].message
     assert message.startswith("made for the magnetometer 'mag_link', but the field now comes from")
     assert message.isprintable()
+
+
+def test_another_imu_is_reported_while_the_calibration_is_of_the_first(calibrated):
+    actor = calibrated
+    received = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+    actor.run(PATIENCE, stop=lambda: len(received) > 1)
+    assert "imu_link" not in received[-1].status[0].message
+    actor.source._imu.header.frame_id = "spare_imu"
+    actor.run(PATIENCE, stop=lambda: "spare_imu" in received[-1].status[0].message)
+    status = received[-1].status[0]
+    assert "in the axes of 'imu_link', but the IMU's frame is 'spare_imu'" in status.message
+    assert status.level == DiagnosticStatus.WARN
+    assert actor.answer(actor.call("reset")).success
+    actor.run(PATIENCE, stop=lambda: "spare_imu" not in received[-1].status[0].message)
+    assert "spare_imu" not in received[-1].status[0].message
