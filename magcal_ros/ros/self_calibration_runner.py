@@ -48,7 +48,8 @@ class SelfCalibrationRunner:
         """Take a field sample, and the state of the vehicle."""
         self._pairer.offer(sample)
         for pair in self._pairer.take():
-            if self.machine.add(pair, self._pipeline.travel.estimator.speed):
+            speed = self._pipeline.travel.estimator.speed_near(pair.field.stamp)
+            if self.machine.add(pair, speed):
                 self._look()
 
     def follow(self) -> None:

@@ -10,7 +10,13 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from magcal_ros.core.driving.chords import Chord, Chords, CourseOffset, fit_course_offset, is_hull
-from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SpeedSource
+from magcal_ros.core.driving.driving_tuning import (
+    ACCELERATION,
+    COURSE,
+    MOUNTING,
+    SPEED,
+    SpeedSource,
+)
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator
 from magcal_ros.core.driving.speed import Speedometer
@@ -81,11 +87,12 @@ class TravelEstimator:
         track = self.speedometer.track
         return None if track is None else track.source
 
-    @property
-    def speed(self) -> float:
-        """The newest speed, m/s; NaN without a source."""
+    def speed_near(self, stamp: float) -> float:
+        """Return the newest speed, m/s; NaN without a measurement near a stamp, seconds."""
         track = self.speedometer.track
-        return math.nan if track is None else track.last
+        if track is None or abs(stamp + track.delay - track.newest) > SPEED.receiver_gap:
+            return math.nan
+        return track.last
 
     @property
     def has_wheels(self) -> bool:

@@ -232,7 +232,7 @@ def replay_drive(
             continue
         last = sample.stamp
         first = last if math.isnan(first) else first
-        speed, up = replay.estimator.speed, replay.up.newest
+        speed, up = replay.estimator.speed_near(last), replay.up.newest
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
             due = last + MAP_EVERY

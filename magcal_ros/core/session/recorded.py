@@ -175,7 +175,7 @@ class SampleCollector:
             estimator = self._replay.estimator
             self._session.add(pair, 0.0, estimator.wheel_speed(pair.field.stamp))
             if math.isfinite(sum(pair.imu.rate)):
-                self._drive.add(pair, estimator.speed)
+                self._drive.add(pair, estimator.speed_near(pair.field.stamp))
 
     def _choose(self) -> None:
         """Keep the part with the largest arc, if the time was set and there are two parts."""

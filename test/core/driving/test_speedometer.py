@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.driving import Speedometer, SpeedSource, SpeedTrack
+from magcal_ros.core.driving import Speedometer, SpeedSource, SpeedTrack, TravelEstimator
 from magcal_ros.core.samples import PositionSample, SpeedSample, VelocitySample
 
 
@@ -95,3 +95,14 @@ def test_wheels_at_one_hertz_are_interpolated():
     assert not track.is_quick
     assert track.at(12.3) == pytest.approx(6.15)
     assert track_of(10.0).is_quick
+
+
+def test_the_speed_of_a_silent_source_is_unknown():
+    """A robot that comes to rest after its wheels fell silent would never rest again."""
+    estimator = TravelEstimator()
+    assert math.isnan(estimator.speed_near(1.0))
+    for k in range(100):
+        estimator.add_travel(SpeedSample(0.1 * k, 4.0))
+    assert estimator.speed_near(10.0) == 4.0
+    assert estimator.speed_near(11.0) == 4.0
+    assert math.isnan(estimator.speed_near(20.0))
