@@ -30,13 +30,7 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
     The reasons are stamps that are no times, impossible numbers, too few samples, and missing
     gravity or field.
     """
-    longest = float(np.diff(window.time).max(initial=0.0))
-    if longest > STREAMS.longest_pause:
-        raise Refusal(
-            Reason.NOT_FINITE,
-            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
-            "that is not set in between.",
-        )
+    _refuse_other_units_of_time(window.time)
     # The fourth powers of very large numbers overflow.
     rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
     readings = (window.field, window.specific_force, rate)
@@ -63,6 +57,28 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
     if usual_size(window.field) < STREAMS.smallest:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
+        )
+
+
+def _refuse_other_units_of_time(time: FloatArray) -> None:
+    """Raise `Refusal` if stamps (n,) cannot be seconds.
+
+    Milliseconds make a turn longer than any turn, of samples too far apart for a long drive.
+    """
+    gaps = np.diff(time)
+    longest = float(gaps.max(initial=0.0))
+    if longest > STREAMS.longest_pause:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
+            "that is not set in between.",
+        )
+    span = float(gaps.sum())
+    if span > STREAMS.longest_pause and float(np.median(gaps)) > STREAMS.longest_gyro_step:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            f"By their stamps the samples span {span:.3g} s, {float(np.median(gaps)):.3g} s apart: "
+            "the stamps must be seconds, not milliseconds.",
         )
 
 

@@ -80,6 +80,16 @@ def test_stamps_that_are_not_seconds(method):
     assert "they must be seconds" in outcome.verdict.summary
 
 
+@pytest.mark.parametrize("gyro", [True, False])
+def test_stamps_in_milliseconds(gyro):
+    """Without a gyro a calibration was accepted; with one its fit took minutes."""
+    window = measure(Robot(), turn(samples=400), np.random.default_rng(3), gyro=gyro)
+    window = Window(1e3 * window.time, window.field, window.specific_force, window.angular_rate)
+    verdict = calibrate(window, Robot().knowledge()).verdict
+    assert not verdict.accepted
+    assert "not milliseconds" in verdict.summary
+
+
 def test_sensors_without_values():
     plain = window_of()
     nothing = np.zeros((500, 3))
