@@ -24,6 +24,7 @@ from magcal_ros.core.samples.units import (
 from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
+COMPARED = 4  # steps of the numbers below an extreme that are compared with it
 
 
 @dataclass(frozen=True)
@@ -247,18 +248,21 @@ def saturated(field: FloatArray, axis: int) -> BoolArray:
 
     A saturated axis is at its extreme for many different values of the other two axes. Without
     saturation (a robot at rest, or coarse numbers near a maximum), there are hardly more such
-    values than just below the extreme.
+    values than just below the extreme. If all numbers of an axis are a few coarse ones, there is
+    nothing to compare.
     """
     values, others = field[:, axis], np.delete(field, axis, axis=1)
     none = np.zeros(len(values), dtype=np.bool_)
-    if np.ptp(values) == 0.0:
+    levels, times = np.unique(values, return_counts=True)
+    # Numbers that are not coarse hardly repeat, except at the end of the range.
+    if len(levels) == 1 or (len(levels) <= COMPARED and np.median(times) > 1):
         return none
     cell = max(float(np.ptp(field, axis=0).max()) / 40.0, 1e-12)
     places = np.floor(others / cell).astype(np.int64)
     step = _step(values)
     for extreme in (values.max(), values.min()):
         at = np.asarray(values == extreme)
-        below = ~at & (np.abs(values - extreme) < 4.5 * step)
+        below = ~at & (np.abs(values - extreme) < (COMPARED + 0.5) * step)
         stands = len(np.unique(places[at], axis=0))
         if (
             stands >= HEALTH.saturated[0]

@@ -135,6 +135,14 @@ def test_a_rest_at_the_extreme_of_a_coarse_field_is_no_saturation(field):
     assert "saturation" not in wrong(field_findings(resting))
 
 
+@pytest.mark.parametrize("step", [1.5e-6, 3e-6, 5e-6])
+def test_a_vertical_axis_of_a_few_coarse_numbers_is_no_saturation(field, step):
+    """A level turn hardly changes z; whole turns in coarse numbers were refused."""
+    coarse = np.round(field / step) * step
+    coarse[:, 2] = step * np.where(np.arange(COUNT) % 3, -20.0, -19.0)
+    assert "saturation" not in wrong(field_findings(coarse))
+
+
 def test_an_axis_always_at_its_limit_is_distinguished_from_a_coarse_one(field):
     assert stuck_axes(dead(field)) == [1]
     assert stuck_axes(np.round(dead(field) / 0.15e-6) * 0.15e-6) == [1]
