@@ -149,11 +149,13 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = Non
 def calibrate_drive(log: Window, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and grade the result; the samples are the rows of the log."""
     from magcal_ros.core.doctor.sensor_report import wrong_reading
-    from magcal_ros.core.methods.smoother import fit_log
+    from magcal_ros.core.methods.smoother import DRIVE_NEEDS_GYRO, fit_log
 
     if not len(log):
         words = "no drive was found: there are no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
+    if log.angular_rate is None:
+        return Outcome.refused(Refusal(Reason.NO_SOLUTION, DRIVE_NEEDS_GYRO), log)
     wrong = wrong_reading(log, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, log)
@@ -190,6 +192,10 @@ def calibrate_turns(
     -------
     Outcome
     """
+    if not windows:
+        raise UsageError("there is no turn to calibrate; give the window of one turn at least")
+    if names is not None and len(names) != len(windows):
+        raise UsageError(f"{len(windows)} turns have {len(names)} names; give each turn one name")
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
         return calibrate(pooled(windows), knowledge, method)
@@ -220,6 +226,9 @@ def calibrate_turns(
 
 def pooled(windows: Sequence[Window]) -> Window:
     """Return one window with the samples of all, with a pause of one second between them."""
+    windows = [window for window in windows if len(window)]
+    if not windows:
+        return Window(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
     times, end = [], 0.0
     for window in windows:
         times.append(window.time - window.time[0] + end)

@@ -17,6 +17,9 @@ DECLINATION_SIGMA_DEG = 0.5
 STREET_LENGTH = 30.0
 """Correlation length of the local disturbance along a path, metres; 25 to 30 m in cities."""
 
+LARGEST_STRENGTH = 1e-3
+"""Tesla, twenty times the Earth's field: more is in another unit (`STREAMS.largest_field`)."""
+
 CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
 
@@ -49,7 +52,10 @@ class Belief:
 
 @dataclass(frozen=True)
 class ReferenceField:
-    """The Earth's field where the robot turns."""
+    """The Earth's field where the robot turns.
+
+    Raises `ValueError` for numbers that are no tesla or no radians.
+    """
 
     strength: Belief = field(default_factory=Belief.unknown)  # tesla
     inclination: Belief = field(default_factory=Belief.unknown)
@@ -58,6 +64,21 @@ class ReferenceField:
     """Radians, positive where magnetic north lies east of true north; None if not known."""
     declination_sigma: float = 0.0
     """Standard deviation of the declination, radians; it is part of a yaw to true north."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.strength, Belief) or not isinstance(self.inclination, Belief):
+            raise ValueError("strength and inclination of a reference are beliefs: Belief(48e-6)")
+        strength, inclination = self.strength, self.inclination
+        if not strength.is_unknown and not 0.0 < strength.value < LARGEST_STRENGTH:
+            raise ValueError(
+                f"a strength of {strength.value:g} T is not the Earth's, which is about 50e-6 T"
+            )
+        if not inclination.is_unknown and abs(inclination.value) > math.pi:
+            raise ValueError(f"an inclination of {inclination.value:g} is not in radians")
+        if self.declination is not None and not abs(self.declination) <= math.pi:
+            raise ValueError(f"a declination of {self.declination:g} is not in radians")
+        if not 0.0 <= self.declination_sigma < math.inf:
+            raise ValueError("the sigma of a declination is a number of zero or more")
 
     @property
     def is_complete(self) -> bool:
@@ -94,6 +115,10 @@ class SoftIron:
     there is no soft iron; otherwise the smoother uses its own prior."""
     always: bool = False  # has no effect on the smoother, which always estimates it
 
+    def __post_init__(self) -> None:
+        if not all(0.0 <= each < math.inf for each in (self.sigma_diagonal, self.sigma_cross)):
+            raise ValueError("the sigmas of soft iron must be finite, and zero or more")
+
     @classmethod
     def none(cls) -> SoftIron:
         """Return the belief that there is no soft iron beyond the known gains."""
@@ -119,6 +144,14 @@ class Mounting:
         freeze(self, gains=(3,), pose=(3, 3), forward=(3,))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
+        if not np.allclose(self.pose @ self.pose.T, np.eye(3), atol=1e-3):
+            raise ValueError("the pose of a mounting must be a rotation: its rows are orthonormal")
+        if np.linalg.det(self.pose) < 0.0:
+            raise ValueError(
+                "the pose of a mounting mirrors the axes; turn the axes in the driver instead"
+            )
+        if not abs(float(np.linalg.norm(self.forward)) - 1.0) < 1e-3:
+            raise ValueError("the front of a vehicle is a unit vector")
         if not 0.0 < self.yaw_sigma < math.inf:
             raise ValueError("the sigma of the mounting's yaw must be positive and finite")
 

@@ -262,3 +262,17 @@ def test_the_sigma_includes_constant_sensor_errors():
     sigmas = [each.multi_turn.shown.absolute_level for each in (outcome, assumed)]
     assert sigmas[0] > 1.2 * sigmas[1]
     assert math.radians(absolute_rms_deg(outcome, robot)) < 3.0 * sigmas[0]
+
+
+def test_no_turns_and_too_few_names_are_named():
+    with pytest.raises(UsageError, match="no turn"):
+        calibrate_turns([], UNKNOWN)
+    window = window_on(LEVEL, np.random.default_rng(1))
+    with pytest.raises(UsageError, match="2 turns have 1 names"):
+        calibrate_turns([window, window], UNKNOWN, names=["first"])
+
+
+def test_empty_windows_are_pooled_to_a_refusal():
+    empty = window_on(LEVEL, np.random.default_rng(1)).take(np.arange(0))
+    outcome = calibrate_turns([empty, empty], UNKNOWN, "min_max")
+    assert outcome.reason is Reason.TOO_FEW_SAMPLES

@@ -27,6 +27,49 @@ def test_a_reference_is_complete_with_both_numbers():
     assert not ReferenceField().is_complete
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"strength": Belief(48.0, 1.5)}, "is not the Earth's"),
+        ({"strength": Belief(-48e-6)}, "is not the Earth's"),
+        ({"strength": Belief(0.0)}, "is not the Earth's"),
+        ({"strength": 48e-6}, "are beliefs"),
+        ({"inclination": Belief(60.0, 1.0)}, "not in radians"),
+        ({"declination": 4.0}, "not in radians"),
+        ({"declination": math.nan}, "not in radians"),
+        ({"declination": 0.1, "declination_sigma": math.inf}, "sigma of a declination"),
+    ],
+)
+def test_a_reference_in_other_units_is_rejected(given, words):
+    """Microtesla and degrees were fitted, and the turn was refused with other words or NaN."""
+    with pytest.raises(ValueError, match=words):
+        ReferenceField(**given)
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (np.ones((3, 3)), "must be a rotation"),
+        (2.0 * np.eye(3), "must be a rotation"),
+        (np.diag([1.0, 1.0, -1.0]), "mirrors the axes"),
+    ],
+)
+def test_a_pose_that_is_no_rotation_is_rejected(pose, words):
+    with pytest.raises(ValueError, match=words):
+        Mounting(pose=pose)
+
+
+def test_a_front_is_a_unit_vector():
+    with pytest.raises(ValueError, match="unit vector"):
+        Mounting(forward=[0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("sigma", [-0.1, math.nan, math.inf])
+def test_invalid_soft_iron_is_rejected(sigma):
+    with pytest.raises(ValueError, match="soft iron"):
+        SoftIron(sigma, 0.02)
+
+
 def test_the_mounting_rotates_before_it_scales():
     # For a board rotated by 90° to the left, the robot's forward is its -y.
     mounting = Mounting(gains=[2.0, 3.0, 4.0], pose=rotation_from_rpy(0.0, 0.0, math.pi / 2))

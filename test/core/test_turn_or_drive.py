@@ -11,12 +11,14 @@ from realistic_robots import by_turn, collected, drawn, motors, stop_and_go
 from realistic_robots import heading_error as turn_error
 from simulated.drive import random_vehicle
 from simulated.legs import circles, joined, standing
+from simulated.turns import measure, turn
 from smoother.streets import BOSTON, driven, heading_error
 
-from magcal_ros.core import Figure, Reason, Window, calibrate
+from magcal_ros.core import Figure, Knowledge, Reason, Window, calibrate
 from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.samples import log_of
+from magcal_ros.core.simulation import Robot
 
 
 @pytest.fixture(scope="module")
@@ -159,3 +161,10 @@ def test_swapped_axes_on_a_drive_are_not_taken_for_a_small_circle(case):
     outcome = calibrate(window, BOSTON)
     assert not outcome.verdict.accepted
     assert "check that the axes of both sensors match" in outcome.verdict.summary
+
+
+def test_a_drive_without_a_gyro_is_refused_in_words():
+    """An assertion failed."""
+    window = measure(Robot(), turn(samples=50), np.random.default_rng(1))
+    outcome = calibrate_drive(window, Knowledge())
+    assert "needs a gyro" in outcome.verdict.summary

@@ -66,6 +66,9 @@ FEWEST_SECTORS = 4  # sectors of heading, of twelve, that a drive has to reach
 LARGEST_STREET = 12.0
 """µT of local disturbance and noise beyond which the axes of the sensors do not match."""
 INLIER_WEIGHT = 0.3  # Student weight above which a node counts as an inlier
+DRIVE_NEEDS_GYRO = (
+    "a drive without a turn needs a gyro; turn the robot once instead, or connect a gyro"
+)
 LARGEST_GAIN_ERROR = 0.1  # of a sensor, relative; a body explains a larger loss of the level field
 
 
@@ -92,10 +95,7 @@ def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     """
     refuse_empty(window)
     if window.angular_rate is None:
-        raise Refusal(
-            Reason.NO_SOLUTION,
-            "a drive without a turn needs a gyro; turn the robot once instead, or connect a gyro",
-        )
+        raise Refusal(Reason.NO_SOLUTION, DRIVE_NEEDS_GYRO)
     return fit_log(log_of(window), knowledge, window)
 
 

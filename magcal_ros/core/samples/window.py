@@ -22,6 +22,7 @@ from magcal_ros.core.samples.battery import Battery, Messages, battery_of
 from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, AttachedRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
+NEEDED = ("time", "field", "specific_force")
 NO_ORIENTATION = (math.nan,) * 4
 ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 ROUNDING = 1e-12  # of an integral over some samples, relative to the largest reading
@@ -78,7 +79,8 @@ class Window:
     Raises
     ------
     ValueError
-        If lengths differ, a number is not finite or time does not increase.
+        If a column is missing, lengths differ, a number is not finite (a speed may be NaN) or time
+        does not increase.
     """
 
     time: FloatArray  # seconds of the field's stamps, increasing. Shape (n,).
@@ -104,9 +106,19 @@ class Window:
     """Longest gap between samples across which the gyro is integrated, seconds."""
 
     def __post_init__(self) -> None:
+        missing = [name for name in NEEDED if getattr(self, name) is None]
+        if missing:
+            raise ValueError(f"a window needs {', '.join(missing).replace('_', ' ')}, not None")
         freeze(self, time=(-1,))
         rows = (len(self.time), 3)
         freeze(self, field=rows, specific_force=rows, angular_rate=rows)
+        for name, kind in (("speed", np.float64), ("rested", np.bool_)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=kind))
+                if getattr(self, name).shape != rows[:1]:
+                    raise ValueError(f"{name} must have the shape {rows[:1]}")
+        if self.speed is not None and np.isinf(self.speed).any():
+            raise ValueError("speed is infinite; it is NaN where it was not measured")
         if (np.diff(self.time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 

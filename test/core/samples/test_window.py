@@ -21,6 +21,26 @@ def test_the_length_is_the_number_of_samples():
     assert len(window()) == 5
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"field": None}, "needs field"),
+        ({"time": None}, "needs time"),
+        ({"speed": np.ones(3)}, "speed must have the shape"),
+        ({"speed": np.ones((5, 1))}, "speed must have the shape"),
+        ({"speed": np.full(5, np.inf)}, "speed is infinite"),
+        ({"rested": np.zeros(3, bool)}, "rested must have the shape"),
+    ],
+)
+def test_every_column_is_checked_where_it_is_given(changes, words):
+    with pytest.raises(ValueError, match=words):
+        window(**changes)
+
+
+def test_a_speed_may_be_a_list_with_gaps():
+    assert window(speed=[0.5, np.nan, 0.5, 0.5, 0.5]).rolls
+
+
 @pytest.mark.parametrize("rows", [np.array([0, 2, 3]), np.array([1, 0, 1, 1, 0], dtype=bool)])
 def test_taking_rows_keeps_the_samples_together(rows):
     whole = window()
