@@ -123,13 +123,13 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     """Grade an estimate, and refuse it if the samples show wrong axes or stamps."""
     from magcal_ros.core.doctor.sensor_report import wrong_axes, wrong_stamps
 
-    # The search for wrong axes takes time. It is skipped after a good result of the smoother, and
-    # if z points down, which explains all other faults. It cannot separate wrong axes from a sway
-    # that is faster than the samples.
+    # A good result does not rule out wrong axes: a sensor turned by 90° about z fits a turn well.
+    # The search is skipped if z points down, which explains all other faults. It cannot separate
+    # wrong axes from a sway that is faster than the samples.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     is_slow = float(np.median(np.diff(window.time))) > SWAY
-    if explains and (outcome.verdict.is_good or is_slow) and estimate.method in (JOINS, DRIVES):
+    if explains and is_slow and estimate.method in (JOINS, DRIVES):
         return outcome
     refused = {each.figure for each in outcome.verdict.checks if each.grade is Grade.REFUSED}
     if Figure.AXIS_LEAN in refused:

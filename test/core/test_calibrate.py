@@ -4,19 +4,21 @@ import math
 import numpy as np
 import pytest
 from long_form import first_of
-from simulated.turns import measure, turn
+from simulated.turns import measure, slope_rpy, smooth_wobble, turn
 
 from magcal_ros.core import (
     METHODS,
     Calibration,
     Grade,
     Knowledge,
+    Mounting,
     Reason,
     Refusal,
     Window,
     calibrate,
 )
 from magcal_ros.core.calibrate import find_method
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import with_explanation
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
@@ -195,3 +197,18 @@ def test_a_robot_that_leans_with_the_ground_shows_no_soft_iron(gyro):
     assert outcome.verdict.is_good
     gains = np.linalg.svd(outcome.estimate.correction.matrix, compute_uv=False)
     assert gains.max() / gains.min() < 1.02
+
+
+@pytest.mark.parametrize("is_told", first_of([True, False]))
+def test_a_sensor_a_quarter_turn_off_its_pose_is_named_though_its_turn_fits_well(is_told):
+    """The fit was good, and the heading 90° off: the search for wrong axes was skipped."""
+    rng = np.random.default_rng(5)
+    sway = smooth_wobble(rng, 576, 19.2, 1.0 * DEGREE, (0.2, 2.0))
+    slope = slope_rpy(2.0 * DEGREE, 1.0, 2.0)
+    turned = Mounting(pose=rotation_from_rpy(0.0, 0.0, 0.5 * math.pi))
+    robot = Robot(mounting=Mounting() if is_told else turned, noise_force=0.05)
+    motion = turn(arc=1.07 * math.tau, samples=576, duration=19.2, start_rpy=slope, wobble=sway)
+    told = (robot.knowledge(1.5e-6, DEGREE).reference, turned) if is_told else ()
+    outcome = calibrate(measure(robot, motion, rng, gyro=True), Knowledge(*told))
+    assert not outcome.verdict.accepted
+    assert f"mount_rpy_deg: [0.0, 0.0, {0.0 if is_told else 90.0}]" in outcome.verdict.summary
