@@ -17,9 +17,6 @@ DECLINATION_SIGMA_DEG = 0.5
 STREET_LENGTH = 30.0
 """Correlation length of the local disturbance along a path, metres; 25 to 30 m in cities."""
 
-LARGEST_STRENGTH = 1e-3
-"""Tesla, twenty times the Earth's field: more is in another unit (`STREAMS.largest_field`)."""
-
 CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
 
@@ -54,7 +51,7 @@ class Belief:
 class ReferenceField:
     """The Earth's field where the robot turns.
 
-    Raises `ValueError` for numbers that are no tesla or no radians.
+    Raises `ValueError` for a strength that is not positive, and for angles that are no radians.
     """
 
     strength: Belief = field(default_factory=Belief.unknown)  # tesla
@@ -69,10 +66,8 @@ class ReferenceField:
         if not isinstance(self.strength, Belief) or not isinstance(self.inclination, Belief):
             raise ValueError("strength and inclination of a reference are beliefs: Belief(48e-6)")
         strength, inclination = self.strength, self.inclination
-        if not strength.is_unknown and not 0.0 < strength.value < LARGEST_STRENGTH:
-            raise ValueError(
-                f"a strength of {strength.value:g} T is not the Earth's, which is about 50e-6 T"
-            )
+        if not strength.is_unknown and not 0.0 < strength.value < math.inf:
+            raise ValueError(f"a strength of {strength.value:g} T is not positive and finite")
         if not inclination.is_unknown and abs(inclination.value) > math.pi:
             raise ValueError(f"an inclination of {inclination.value:g} is not in radians")
         if self.declination is not None and not abs(self.declination) <= math.pi:

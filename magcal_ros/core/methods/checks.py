@@ -30,7 +30,13 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
     The reasons are stamps that are no times, impossible numbers, too few samples, and missing
     gravity or field.
     """
-    _refuse_other_units_of_time(window.time)
+    longest = float(np.diff(window.time).max(initial=0.0))
+    if longest > STREAMS.longest_pause:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
+            "that is not set in between.",
+        )
     # The fourth powers of very large numbers overflow.
     rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
     readings = (window.field, window.specific_force, rate)
@@ -60,25 +66,18 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
         )
 
 
-def _refuse_other_units_of_time(time: FloatArray) -> None:
-    """Raise `Refusal` if stamps (n,) cannot be seconds.
+def refuse_milliseconds(time: FloatArray) -> None:
+    """Raise `Refusal` if the stamps (n,) of a turn or a drive can only be milliseconds.
 
-    Milliseconds make a turn longer than any turn, of samples too far apart for a long drive.
+    They make a turn longer than any turn, of samples too far apart for a long drive.
     """
     gaps = np.diff(time)
-    longest = float(gaps.max(initial=0.0))
-    if longest > STREAMS.longest_pause:
+    span, usual = float(gaps.sum()), float(np.median(gaps))
+    if span > STREAMS.longest_pause and usual > STREAMS.longest_gyro_step:
         raise Refusal(
             Reason.NOT_FINITE,
-            f"Two successive stamps are {longest:.3g} s apart: they must be seconds, of a clock "
-            "that is not set in between.",
-        )
-    span = float(gaps.sum())
-    if span > STREAMS.longest_pause and float(np.median(gaps)) > STREAMS.longest_gyro_step:
-        raise Refusal(
-            Reason.NOT_FINITE,
-            f"By their stamps the samples span {span:.3g} s, {float(np.median(gaps)):.3g} s apart: "
-            "the stamps must be seconds, not milliseconds.",
+            f"By their stamps the samples span {span:.3g} s, {usual:.3g} s apart: the stamps must "
+            "be seconds, not milliseconds.",
         )
 
 
@@ -110,6 +109,7 @@ SCREENING = Screening()
 def check_window(window: Window, knowledge: Knowledge) -> None:
     """Raise `Refusal` for an unusable window, a field that is too steep, or a constant field."""
     refuse_empty(window)
+    refuse_milliseconds(window.time)
     dip = knowledge.reference.inclination
     if not dip.is_unknown and abs(dip.value) > SCREENING.steepest:
         raise _too_steep(dip.value)

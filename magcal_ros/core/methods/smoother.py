@@ -27,6 +27,7 @@ from magcal_ros.core.methods.checks import (
     check_radius,
     check_window,
     refuse_empty,
+    refuse_milliseconds,
 )
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.streams import SWAY
@@ -94,6 +95,7 @@ def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Raises `Refusal` if the drive does not determine a calibration.
     """
     refuse_empty(window)
+    refuse_milliseconds(window.time)
     if window.angular_rate is None:
         raise Refusal(Reason.NO_SOLUTION, DRIVE_NEEDS_GYRO)
     return fit_log(log_of(window), knowledge, window)
