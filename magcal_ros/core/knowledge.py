@@ -140,11 +140,7 @@ class Mounting:
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
         if not np.allclose(self.pose @ self.pose.T, np.eye(3), atol=1e-3):
-            raise ValueError("the pose of a mounting must be a rotation: its rows are orthonormal")
-        if np.linalg.det(self.pose) < 0.0:
-            raise ValueError(
-                "the pose of a mounting mirrors the axes; turn the axes in the driver instead"
-            )
+            raise ValueError("the rows of a mounting's pose must be orthonormal")
         if not abs(float(np.linalg.norm(self.forward)) - 1.0) < 1e-3:
             raise ValueError("the front of a vehicle is a unit vector")
         if not 0.0 < self.yaw_sigma < math.inf:

@@ -45,16 +45,9 @@ def test_a_reference_in_other_units_is_rejected(given, words):
         ReferenceField(**given)
 
 
-@pytest.mark.parametrize(
-    ("pose", "words"),
-    [
-        (np.ones((3, 3)), "must be a rotation"),
-        (2.0 * np.eye(3), "must be a rotation"),
-        (np.diag([1.0, 1.0, -1.0]), "mirrors the axes"),
-    ],
-)
-def test_a_pose_that_is_no_rotation_is_rejected(pose, words):
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize("pose", [np.ones((3, 3)), 2.0 * np.eye(3)])
+def test_a_pose_that_is_no_rotation_is_rejected(pose):
+    with pytest.raises(ValueError, match="orthonormal"):
         Mounting(pose=pose)
 
 
