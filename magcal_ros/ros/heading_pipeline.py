@@ -51,10 +51,9 @@ class Sensor:
     frame: str = ""
     last_received: float | None = None
     messages: int = 0
-    publishers: int = 1
     changes: int = 0
     kind: str = ""  # the message type of the subscription
-    published: frozenset[str] = frozenset()  # the message types on the topic
+    published: Sequence[str] = ()  # the message types of all publishers
     _frame_before: str = ""
     _looks: deque[tuple[float, int, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
     """Time, messages and changes of the frame at the last looks."""
@@ -82,7 +81,7 @@ class Sensor:
 
     def look(self, published: Sequence[str] = ("",)) -> None:
         """Note messages, changes of the frame and all publishers' message types, once a second."""
-        self.publishers, self.published = len(published), frozenset(published)
+        self.published = published
         self._looks.append((self.clock(), self.messages, self.changes))
 
     def age(self) -> float:
@@ -94,7 +93,7 @@ class Sensor:
         if self.last_received is None:
             why = "check that the driver runs and the topic is remapped to it"
             if self.published and self.kind not in self.published:
-                others = " and ".join(sorted(map(printable, self.published)))
+                others = " and ".join(sorted(map(printable, set(self.published))))
                 why = (
                     f"{others} is published there, not {self.kind}; remap it to the sensor's topic"
                 )
@@ -102,8 +101,8 @@ class Sensor:
         silent = self.age()
         if silent > SILENT_AFTER:
             return f"{self.topic} has been silent for {silent:.0f} s: check its driver and cable"
-        if self.publishers > 1:
-            return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
+        if len(self.published) > 1:
+            return f"{len(self.published)} publishers on {self.topic}: only one can be the sensor"
         changes_before = self._looks[-2][2] if len(self._looks) > 1 else 0
         if self.changes - changes_before > 1:
             frames = map(identifier, sorted((self._frame_before, self.frame)))

@@ -239,7 +239,8 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return a refusal of a gyro that is frozen, dead about the vertical, or in a wrong unit.
 
-    An accelerometer beside a gyro that is frozen is refused, too; without noise both may be right.
+    A frozen accelerometer is refused, too. Its force may be constant if the gyro shows no noise:
+    then the sensors are simulated.
     """
     rate = window.angular_rate
     if rate is None or len(window) < 3:

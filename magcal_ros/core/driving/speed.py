@@ -62,6 +62,10 @@ class SpeedTrack:
         """The newest speed, m/s; NaN before the first."""
         return self._kept[-1][1] if self._kept else math.nan
 
+    def last_near(self, stamp: float, gap: float) -> float:
+        """Return the newest speed, m/s; NaN if it is further than `gap` seconds from a stamp."""
+        return math.nan if abs(stamp + self.delay - self.newest) > gap else self.last
+
     def wants(self, stamp: float) -> bool:
         """Whether a sample at a stamp is used; of a fast source, some are skipped."""
         return not 0.0 < stamp - self.newest < SPEED.shortest

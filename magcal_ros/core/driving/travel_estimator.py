@@ -90,9 +90,7 @@ class TravelEstimator:
     def speed_near(self, stamp: float) -> float:
         """Return the newest speed, m/s; NaN without a measurement near a stamp, seconds."""
         track = self.speedometer.track
-        if track is None or abs(stamp + track.delay - track.newest) > SPEED.receiver_gap:
-            return math.nan
-        return track.last
+        return math.nan if track is None else track.last_near(stamp, SPEED.receiver_gap)
 
     @property
     def has_wheels(self) -> bool:
@@ -103,9 +101,7 @@ class TravelEstimator:
     def wheel_speed(self, stamp: float) -> float:
         """Return the speed of wheels, m/s; NaN without a measurement near a stamp, seconds."""
         track = self.speedometer.tracks[SpeedSource.ODOMETRY]
-        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
-            return math.nan
-        return track.last
+        return track.last_near(stamp, track.gap) if self.has_wheels else math.nan
 
     def use_mounting_yaw(self, yaw: float, sigma: float) -> None:
         """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is known."""

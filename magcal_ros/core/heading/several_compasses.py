@@ -156,7 +156,7 @@ class SeveralCompasses:
 
     @property
     def reference_compass(self) -> Compass | None:
-        """The first calibrated compass; the joined field is like one that it measures."""
+        """The first calibrated compass; the joined field is given as if it had measured it."""
         return self._members[min(self._members)].compass if self._members else None
 
     @property

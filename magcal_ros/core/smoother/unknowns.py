@@ -235,7 +235,12 @@ SIZES: dict[str, Size] = {
     ),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
     "revisited": Size(
-        1.0, 1.0, 6.0, "µT", "the same where the path repeats, beyond that of the places", "streets"
+        1.0,
+        1.0,
+        6.0,
+        "µT",
+        "part of it that the places do not explain, where a path repeats",
+        "cars: .5 to 2.4",
     ),
     "traffic": Size(
         0.05, 1.5, 6.0, "µT/√s", "change of the local disturbance at rest", "none to .3 in traffic"
