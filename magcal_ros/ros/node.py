@@ -24,12 +24,13 @@ from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
 from magcal_ros.ros.magnetometers import Ask, Magnetometers, at_once, offer_services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
-from magcal_ros.ros.parameters import Parameters
+from magcal_ros.ros.parameters import Parameters, given_names
 from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SensorGroup, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
 
+NAME = "calibrator"
 TICK = 0.1  # seconds between checks of a turn under way; without a turn this timer is stopped
 HEARTBEAT = 1.0  # seconds between diagnostics, and between repetitions of the bias
 
@@ -38,11 +39,12 @@ class Calibrator(Node):
     """Calibrates magnetometers from one turn, and publishes corrected fields and the heading."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__("calibrator", **kwargs)
+        given = given_names(NAME, kwargs)
+        super().__init__(NAME, **kwargs)
         self._status = ""
         self.callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
-        self._table = Parameters(self)
+        self._table = Parameters(self, given)
         # The messages of the IMU come first, because the others refer to up.
         self._sensor_group = SensorGroup()
         self._sensor_group.subscribe(self, Imu, "imu/data_raw", self._on_imu)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -109,18 +110,44 @@ class Settings:
         )
 
 
+OF_ROS = "use_sim_time", "start_type_description_service", "qos_overrides"
+"""Parameters of every node, or the first part of their names."""
+
+
+def given_names(name: str, arguments: Mapping[str, Any]) -> list[str]:
+    """Return the names of the parameters that files and the command line give to a node.
+
+    rclpy tells them only by declaring them, which a short-lived node of the same name does.
+    `arguments` are the further arguments of the node.
+    """
+    quiet = {"enable_rosout": False, "start_parameter_services": False}
+    try:
+        node = Node(
+            name, automatically_declare_parameters_from_overrides=True, **{**arguments, **quiet}
+        )
+    except ValueError:
+        # An empty list has no type and cannot be declared like this.
+        return []
+    names = [each for each in node.get_parameters_by_prefix("") if each.split(".")[0] not in OF_ROS]
+    node.destroy_node()
+    return names
+
+
 class Parameters:
     """The node's parameters, declared, checked and kept as `settings`.
 
     A value from the command line or a file that is not allowed is logged and replaced by the
-    default, so that the node continues.
+    default, so that the node continues. Unknown names among the `given` ones are logged.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, given: Iterable[str] = ()) -> None:
         self._node = node
         self._specs = {spec.name: spec for spec in PARAMETERS}
         self._values: dict[str, Any] = {}
         self.complaints: list[str] = []
+        for name in given:
+            if name not in self._specs:
+                self._report_unknown(name)
         for spec in PARAMETERS:
             self._values[spec.name] = self._declare(spec)
         self._given = dict(self._values)
@@ -131,6 +158,16 @@ class Parameters:
         self._effects_come_later = when_agreed is not None
         if when_agreed is not None:
             when_agreed(self._put_in_effect)
+
+    def _report_unknown(self, name: str) -> None:
+        """Report a given name that no parameter has; it may be meant for other nodes, too."""
+        words = f"there is no parameter {name!r}, so its value is not used"
+        similar = get_close_matches(name, self._specs, 1)
+        if similar:
+            self.complaints.append(f"{words}: did you mean {similar[0]}?")
+            self._node.get_logger().error(self.complaints[-1])
+        else:
+            self._node.get_logger().warning(words)
 
     def _declare(self, spec: ParameterSpec) -> Any:
         default = list(spec.default) if isinstance(spec.default, tuple) else spec.default

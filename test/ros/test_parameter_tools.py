@@ -122,6 +122,20 @@ def test_the_shipped_file_is_a_parameter_file(start_node):
     assert not node._table.complaints
 
 
+def test_a_misspelt_parameter_is_named(start_node):
+    given = ["-p", "acumulate:=true", "-p", "robot_name:=a", "-p", "qos_overrides./tf.depth:=1"]
+    node = start_node({}, arguments=["--ros-args", *given, "-p", "accumulate:=true"])
+    (found,) = node._table.complaints
+    assert "'acumulate'" in found
+    assert "did you mean accumulate?" in found
+
+
+def test_an_empty_list_does_not_end_the_node(start_node):
+    node = start_node({}, arguments=["--ros-args", "-p", "mount_2_rpy_deg:=[]"])
+    (found,) = node._table.complaints
+    assert "mount_2_rpy_deg must be 3 numbers" in found
+
+
 def test_small_numbers_and_lists_of_integers_are_accepted(start_node, tools):
     node = start_node({})
     document = {"x": {"ros__parameters": {"confidence.target_sigma_deg": 0.01}}}
