@@ -249,13 +249,16 @@ class AlignmentFit:
         nu, sigma = WIDE.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
         chi2 = np.sum(residual**2, axis=3) / sigma**2
-        weight = (share / (nu + chi2) / sigma**2)[..., None, None]
+        root = np.sqrt(share / (nu + chi2)) / sigma
+        jacobian *= root[..., None, None]
+        # The product of an array with itself takes half the time of one with another array.
         rows = jacobian.reshape(len(state), -1, PARAMETERS)
-        weighted = (weight * jacobian).reshape(rows.shape).swapaxes(1, 2)
-        gradient = (weighted @ residual.reshape(len(state), -1, 1))[..., 0] - state @ self.prior
+        across = rows.swapaxes(1, 2)
+        weighted = (root[..., None] * residual).reshape(len(state), -1, 1)
+        gradient = (across @ weighted)[..., 0] - state @ self.prior
         cost = np.einsum("ki,ij,kj->k", state, self.prior, state)
         cost += np.sum(share * np.log1p(chi2 / nu), axis=(1, 2))
-        return Linearisation(state, residual, weighted @ rows + self.prior, gradient, cost)
+        return Linearisation(state, residual, across @ rows + self.prior, gradient, cost)
 
     def descend(self, state: FloatArray, noise: FloatArray, steps: int) -> Linearisation:
         """Take Levenberg-Marquardt steps, each candidate with its own damping."""
