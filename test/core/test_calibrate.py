@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from long_form import first_of
+from remembered import remembered
 from simulated.turns import measure, slope_rpy, smooth_wobble, turn
 
 from magcal_ros.core import (
@@ -18,13 +19,21 @@ from magcal_ros.core import (
     calibrate,
 )
 from magcal_ros.core.calibrate import find_method
+from magcal_ros.core.doctor import compare_axes
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import with_explanation
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()
+compare_once = remembered(compare_axes)
 TURN_METHODS = ("maximum_likelihood", "design_tip")
 TUMBLE_METHODS = ("ellipsoid", "min_max")
+
+
+@pytest.fixture(autouse=True)
+def one_look(monkeypatch):
+    """Compare the axes of the same samples once: it takes longer than a fit."""
+    monkeypatch.setattr("magcal_ros.core.doctor.motion.compare_axes", compare_once)
 
 
 def window_of(robot=ROBOT, **motion):

@@ -22,8 +22,9 @@ from slope_turns import (
 from magcal_ros.core import Reason, calibrate, calibrate_turns
 from magcal_ros.core.calibrate import pooled
 from magcal_ros.core.errors import UsageError
-from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import heading_errors
+
+pytestmark = pytest.mark.usefixtures("right_axes")
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
 
@@ -35,14 +36,6 @@ def absolute_rms_deg(outcome, robot=ROBOT):
 
 def fates_of(outcome):
     return [fate.joined for fate in outcome.multi_turn.turns]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_look():
-    """The axes are correct here; checking them takes five times as long as the fit."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(joined, "wrong_axes", lambda *_: None)
-        yield
 
 
 @pytest.fixture(scope="module")

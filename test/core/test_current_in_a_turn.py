@@ -13,10 +13,11 @@ from remembered import remembered
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
 from magcal_ros.core.heading import MotionDetector
-from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.self_calibration import MotorLearning
 from magcal_ros.core.session import SampleCollector
+
+pytestmark = pytest.mark.usefixtures("right_axes", "one_fit")
 
 SIZE = 10e-6
 
@@ -94,9 +95,7 @@ def test_learning_while_driving_starts_with_the_result_of_the_turn():
     assert learning.sigma(there) == pytest.approx(known.sigma(here), rel=0.01)
 
 
-def test_several_turns_share_the_reference_current(monkeypatch):
-    # The axes are correct here, and checking them takes as long as the fit.
-    monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
+def test_several_turns_share_the_reference_current():
     turns = [turn_with_current("hold", SIZE, number, course="even") for number in (3, 3)]
     windows = [collected(scene.window, messages) for scene, _, messages in turns]
     shifted = replace(windows[1].battery, reference=windows[1].battery.reference - 1.0)

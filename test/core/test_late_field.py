@@ -17,6 +17,8 @@ from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.geometry import interpolated
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 
 

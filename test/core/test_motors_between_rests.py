@@ -14,6 +14,8 @@ from magcal_ros.core import Figure, calibrate, check
 from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 KNOWLEDGE = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
 
 

@@ -11,6 +11,8 @@ from magcal_ros.core import calibrate
 from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 STEP = np.array([4.0, -3.0, 5.0]) * 1e-6
 
 

@@ -14,6 +14,8 @@ from magcal_ros.core.samples import SensorLog, Steps
 from magcal_ros.core.simulation import DEGREE
 from magcal_ros.core.smoother import nodes_of
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 
 @pytest.mark.parametrize("field_hz", first_of([10.0, 20.0, 5.0, 2.0, 1.0]))
 @pytest.mark.parametrize("seed", first_of([7, 8, 9]))

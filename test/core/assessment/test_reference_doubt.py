@@ -10,6 +10,8 @@ from simulated.turns import measure, smooth_wobble, turn
 from magcal_ros.core import Belief, Figure, Grade, Knowledge, ReferenceField, calibrate
 from magcal_ros.core.simulation import DEGREE, Robot
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 STRENGTH = 48e-6
 
 

@@ -16,6 +16,8 @@ from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation import Robot
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 MUNICH, SYDNEY = Place(48.14, 11.58, 520.0), Place(-33.87, 151.21)
 YEAR = 2026.9
 NOTHING, LOCAL = ReferenceField(), LocalField()

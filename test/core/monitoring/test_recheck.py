@@ -21,6 +21,8 @@ from magcal_ros.core.monitoring import (
 )
 from magcal_ros.core.simulation import Robot
 
+pytestmark = pytest.mark.usefixtures("right_axes", "one_fit")
+
 check = remembered(recheck.check)
 
 
@@ -76,7 +78,7 @@ def test_one_made_without_a_position_holds_on_level_ground(made_without_position
     assert ("or more" in slopes) is bool(stated)
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("gyro", first_of([True, False]))
 @pytest.mark.parametrize("shift", first_of([(5, 0), (0, -5), (-3.5, 3.5)]))
 def test_a_hard_iron_change_of_5_ut_makes_it_stale(calibration, gyro, shift):
     result = check(window(moved(*shift), seed=3, gyro=gyro), calibration)

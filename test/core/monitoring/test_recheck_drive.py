@@ -11,6 +11,8 @@ from simulated.turns import measure, turn
 from magcal_ros.core import Figure, Grade, Refusal, Window, calibrate, check
 from magcal_ros.core.samples import log_of
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 
 def a_drive(seconds):
     """The window of a drive, and the calibration of its vehicle by a turn."""

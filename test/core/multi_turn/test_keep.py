@@ -12,20 +12,13 @@ from magcal_ros.core.multi_turn import (
     MultiTurnReport,
     TurnAccuracy,
     TurnResult,
-    joined,
     names_of,
 )
 from magcal_ros.core.multi_turn.result import TUNING
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 METHOD = "maximum_likelihood"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def no_look():
-    """The axes are correct here; checking them takes five times as long as the fit."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(joined, "wrong_axes", lambda *_: None)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,8 @@ from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.samples import spikes_replaced
 from magcal_ros.core.simulation import DEGREE
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 MICROTESLA = 1e-6
 
 

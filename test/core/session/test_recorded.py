@@ -19,6 +19,8 @@ from magcal_ros.core.session.session_tuning import SESSION
 from magcal_ros.core.simulation import Ride, Robot, heading_errors
 from magcal_ros.files import open_recording
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
 
 

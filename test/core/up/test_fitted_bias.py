@@ -26,6 +26,7 @@ def lean_after(follower, window, later=0.0):
 def test_a_fit_finds_the_bias_that_tilts_up_in_a_circle():
     """The accelerometer cannot separate the tilt from the centripetal acceleration."""
     robot, window = circles(BIAS, radius=2.0, unevenness=0.05)
+    window = window.take(window.time < 25.0)
     follower = UpFollower()
     assert lean_after(follower, window) > 6.0
     found = fit(window, known(robot)).gyro
@@ -52,5 +53,6 @@ def test_a_bias_that_a_rest_has_shown_is_kept():
 def test_a_window_with_a_rest_gives_no_bias():
     """Its rates are without the bias at the rest, which up knows already."""
     robot, window = circles()
+    window = window.take(window.time < 25.0)
     rested = dataclasses.replace(window, sigma_before=0.0005)
     assert fit(rested, known(robot)).gyro is None
