@@ -11,14 +11,6 @@ from magcal_ros.core import calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import Origin, write_calibration
 
-CORE = """
-import importlib, pkgutil, sys
-import magcal_ros.core as core
-for module in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
-    importlib.import_module(module.name)
-print(*sys.modules)
-"""
-
 NODE = """
 import sys, time
 import rclpy
@@ -49,12 +41,6 @@ def modules_after(script, *arguments):
 
 def loaded_of(modules, package):
     return {name for name in modules if name == package or name.startswith(package + ".")}
-
-
-def test_no_module_of_the_core_loads_scipy_before_it_is_needed():
-    loaded = modules_after(CORE)
-    assert {"magcal_ros.core.calibrate", "magcal_ros.core.methods.smoother"} <= loaded
-    assert not loaded_of(loaded, "scipy")
 
 
 def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draws(tmp_path):

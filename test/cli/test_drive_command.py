@@ -17,6 +17,8 @@ from magcal_ros.core.session import SampleCollector
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import open_recording, read_calibration
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 ROBOT = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
 REFERENCE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]
 

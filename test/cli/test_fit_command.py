@@ -15,6 +15,8 @@ from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride
 from magcal_ros.files import read_calibration
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
 
 

@@ -204,6 +204,7 @@ def test_stamps_of_two_clocks_are_named_and_the_other_checks_are_made(off):
     assert report.parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("drawn", first_of([("turn", 2), ("lift", 4), ("half minute", 9)]))
 def test_a_frozen_sensor_is_not_taken_for_another_clock(drawn):
     """While it is frozen it does not show when the robot turned."""

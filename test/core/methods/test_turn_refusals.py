@@ -98,8 +98,8 @@ def test_sensors_without_values():
 
 
 def test_a_gyro_of_another_robot():
-    plain = window_of(samples=120)
-    rate = np.zeros((120, 3))
+    plain = window_of(samples=400)
+    rate = np.zeros((400, 3))
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
     window = Window(plain.time, plain.field, plain.specific_force, rate)
     assert not calibrate(window, Robot().knowledge()).verdict.accepted

@@ -106,6 +106,7 @@ def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
     assert "doubtful" in result.verdict.summary
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("gyro", first_of([True, False]))
 @pytest.mark.parametrize(
     "change",
@@ -164,6 +165,7 @@ def test_a_distorted_room_is_no_fault_of_the_calibration(calibration):
     assert ON_A_DRIVE in result.verdict.not_shown
 
 
+@pytest.mark.nightly
 def test_a_steady_gyro_bias_is_no_fault(calibration):
     biased = moved(gyro_bias=np.radians([0.3, -0.2, 0.8]))
     result = check(window(biased, seed=7), calibration)
@@ -183,6 +185,7 @@ def test_an_extra_turn_of_the_compass_near_iron_is_no_fault(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
+@pytest.mark.nightly
 def test_wobble_and_vibration_are_no_fault(calibration):
     wobble = smooth_wobble(np.random.default_rng(8), 700, 14.0, math.radians(4.0))
     shaky = moved(noise_force=0.5)

@@ -374,24 +374,21 @@ def driven(seed, legs, **options):
     return simulated_drive(travel(legs, rng), rng, Vehicle(ROBOT), receiver=None, **options)
 
 
-def decisions(drive, machine, reported=lambda stamp: stamp):
-    """Let the machine decide along a drive; yields its decisions with their seconds.
+def follow(drive, machine, reported=lambda stamp: stamp):
+    """Let the machine decide along a drive; returns its decisions with their seconds.
 
     The stamps that the machine receives are `reported(stamp)`.
     """
+    made = []
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
         imu = ImuSample(reported(stamp), force, rate)
         if machine.add(Pair(FieldSample(reported(stamp), field), imu)):
             for decision in machine.note(examine_drive(machine.job(BOSTON))):
+                made.append((stamp - drive.time[0], decision))
                 if decision.is_change:
                     machine.put_in_force(decision.calibration)
-                yield stamp - drive.time[0], decision
-
-
-def follow(*arguments):
-    """Return all decisions along a drive."""
-    return list(decisions(*arguments))
+    return made
 
 
 def heading_error(correction, robot):
@@ -453,9 +450,8 @@ def test_a_magnet_of_less_than_a_minute_is_reported():
     drive = driven(2, city(np.random.default_rng(4), 75.0), irons=(magnet,))
     machine = SelfCalibration(Mode.APPLY)
     machine.put_in_force(calibration())
-    made = decisions(drive, machine)
-    reported = next(at for at, each in made if each.kind is DecisionKind.NOTICED)
-    assert 30.0 < reported < 70.0
+    reported = [at for at, made in follow(drive, machine) if made.kind is DecisionKind.NOTICED]
+    assert 30.0 < reported[0] < 70.0
 
 
 @pytest.mark.nightly

@@ -237,6 +237,7 @@ def weak_motion(seconds, turns, soft_iron, seed):
     return error, math.degrees(found.posterior.heading_sigma)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("turns", first_of([True, False]))
 @pytest.mark.parametrize("soft_iron", first_of([PAPER_SOFT_IRON, np.zeros((3, 3))]))
 def test_two_minutes_of_weak_motion_have_a_correct_sigma(turns, soft_iron):
@@ -258,6 +259,7 @@ def test_weak_motion_has_a_correct_sigma_over_many_windows(seconds, turns, soft_
     assert np.mean((errors / stated) ** 2) < 2.0
 
 
+@pytest.mark.nightly
 def test_slow_driving_in_a_street_has_a_correct_sigma():
     """There is no acceleration here either, but the street is in the residuals of the field."""
     drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
@@ -280,6 +282,7 @@ def test_a_gyro_that_measures_about_z_alone_is_enough(seed):
     assert stated < 4.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([183101, 183104]))
 def test_small_circles_are_fitted_within_their_sigma(seed):
     """Each round passes the same covers and parked cars."""
@@ -309,6 +312,7 @@ PARKING = [
 """A car turns round, and stops."""
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([193105, 193102, 193103]))
 def test_a_car_that_turns_round_is_not_taken_for_a_robot_on_the_spot(seed):
     """On the spot its acceleration counts as noise of the force, and no fit may remain there."""

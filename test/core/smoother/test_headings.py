@@ -173,11 +173,16 @@ def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
 @pytest.mark.parametrize(
     ("read", "named"),
     [
-        (lambda yaw: 0.5 * math.pi - yaw, "compass bearing"),
         (lambda yaw: yaw - 0.5 * math.pi, "quarter turn too far to the right"),
-        (lambda yaw: yaw * DEGREE, "radians where degrees"),
-        pytest.param(lambda yaw: -yaw, "mirrored", marks=pytest.mark.nightly),
-        pytest.param(lambda yaw: yaw + math.pi, "half a turn", marks=pytest.mark.nightly),
+        *(
+            pytest.param(read, named, marks=pytest.mark.nightly)
+            for read, named in (
+                (lambda yaw: 0.5 * math.pi - yaw, "compass bearing"),
+                (lambda yaw: yaw * DEGREE, "radians where degrees"),
+                (lambda yaw: -yaw, "mirrored"),
+                (lambda yaw: yaw + math.pi, "half a turn"),
+            )
+        ),
     ],
 )
 def test_wrongly_interpreted_headings_are_named(read, named):

@@ -17,6 +17,8 @@ from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother import AT, UNKNOWNS, Damping, smooth
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 
 def known(robot: Robot):
     """Return what is known of a robot whose sensors have the usual errors."""
