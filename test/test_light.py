@@ -46,7 +46,8 @@ def loaded_of(modules, package):
 def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draws(tmp_path):
     pytest.importorskip("rclpy")
     robot, path = Robot(), tmp_path / "calibration.yaml"
-    outcome = calibrate(measure(robot, turn(), np.random.default_rng(1)), robot.knowledge())
+    window = measure(robot, turn(), np.random.default_rng(1))
+    outcome = calibrate(window, robot.knowledge(), "design_tip")
     write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
     loaded = modules_after(NODE, str(path))
     assert "magcal_ros.ros.node" in loaded

@@ -14,6 +14,8 @@ from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
 from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 
 def known(robot):
     return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
