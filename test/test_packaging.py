@@ -137,7 +137,9 @@ sys.exit(pytest.main(["-q", "--collect-only", "-p", "no:hypothesispytest", *sys.
 
 
 def test_the_tests_are_collected_without_hypothesis():
-    folders = [str(CHECKOUT / "test" / name) for name in ("core/samples", "files/exporters")]
+    folders = [
+        str(CHECKOUT / "test" / name) for name in ("core/samples/test_units.py", "files/exporters")
+    ]
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_HYPOTHESIS, *folders],
         capture_output=True,
