@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.knowledge import CLEAR
@@ -139,13 +139,7 @@ FILTER, GYRO, REST, PROPAGATION, CHECK = (
     GyroCheckTuning(),
 )
 IDENTITY: FloatArray = np.eye(3)
-
-
-class MotionPrior(NamedTuple):
-    """Prior sigmas per axis of a robot's speed (g s) and linear acceleration (g)."""
-
-    speed: float
-    acceleration: float
+USUAL_SPEED = FILTER.usual_speed / STANDARD_GRAVITY  # g s
 
 
 class UpFilter:
@@ -153,7 +147,8 @@ class UpFilter:
 
     The accelerometer measures up + acceleration + turn rate x velocity. Up is a vector of any
     length: the model is linear, and the length absorbs a scale error of the accelerometer. Velocity
-    and acceleration are Ornstein-Uhlenbeck processes with the sigmas of a `MotionPrior`.
+    and acceleration are Ornstein-Uhlenbeck processes; the `acceleration` of a method is the sigma
+    of the present one, g per axis.
     """
 
     def __init__(self) -> None:
@@ -172,53 +167,46 @@ class UpFilter:
     @property
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
-        _, across, square = self._by_up(0)
-        return max(0.0, across) / (2.0 * square) if square > 0.0 else 1.0
+        own = self.covariance[:3, :3]
+        across = float(np.trace(own)) - self._along_up(own)
+        return max(0.0, across) / (2.0 * float(self.up @ self.up))
 
     @property
     def bias_variance(self) -> float:
         """Variance of the bias about up, (rad/s)²."""
-        along, across, square = self._by_up(3)
-        return max(0.0, along) if square > 0.0 else across
+        return max(0.0, self._along_up(self.covariance[3:6, 3:6]))
 
-    def _by_up(self, first: int) -> Triple:
-        """Return the variance of three unknowns along up and across it, and the square of up."""
-        x, y, z = self.state[:3].tolist()
-        own = self.covariance[first : first + 3, first : first + 3]
-        (a, b, c), (_, d, e), (_, _, f) = own.tolist()
-        square = x * x + y * y + z * z
-        along = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
-        along = along / square if square > 0.0 else 0.0
-        return (along, a + d + f - along, square)
+    def _along_up(self, covariance: FloatArray) -> float:
+        """Return the variance along up by a covariance (3, 3)."""
+        return float(self.up @ covariance @ self.up) / float(self.up @ self.up)
 
-    def begin(self, force: FloatArray, variance: float, rate: float, motion: MotionPrior) -> None:
+    def begin(self, force: FloatArray, variance: float, rate: float, acceleration: float) -> None:
         """Start from one accelerometer reading (g), and keep the estimate of the bias."""
         own = self.covariance[3:6, 3:6].copy()
-        turning = _centripetal(force.tolist(), rate)
+        self.state[:3], self.state[6:] = force, 0.0
         self.covariance[:] = 0.0
         self.covariance[3:6, 3:6] = own
-        self.covariance[6:9, 6:9] = IDENTITY * motion.speed**2
-        self.covariance[9:, 9:] = IDENTITY * motion.acceleration**2
-        moved = np.hstack([turning * motion.speed**2, IDENTITY * motion.acceleration**2])
-        self.covariance[:3, 6:], self.covariance[6:, :3] = -moved, -moved.T
-        self.covariance[:3, :3] = moved[:, :3] @ turning.T + moved[:, 3:] + IDENTITY * variance
-        self.state[:3], self.state[6:] = force, 0.0
+        # Up is the force without both accelerations.
+        less = -np.hstack([_centripetal(force.tolist(), rate), IDENTITY])
+        prior = np.repeat([USUAL_SPEED**2, acceleration**2], 3)
+        self.covariance[6:, 6:] = np.diag(prior)
+        self.covariance[:3, 6:] = shared = less * prior
+        self.covariance[6:, :3] = shared.T
+        self.covariance[:3, :3] = shared @ less.T + IDENTITY * variance
 
-    def forget_motion(self, motion: MotionPrior, is_faster: bool = False) -> None:
-        """Reset the linear acceleration to its prior; with `is_faster` the velocity, too."""
-        first = 6 if is_faster else 9
-        self.covariance[first:] = self.covariance[:, first:] = 0.0
-        self.state[first:] = 0.0
-        sigmas = (motion.speed,) * 3 + (motion.acceleration,) * 3
-        self.covariance[range(first, 12), range(first, 12)] = np.square(sigmas[first - 6 :])
+    def forget_acceleration(self) -> None:
+        """Reset the linear acceleration to that of a moving robot."""
+        self.covariance[9:] = self.covariance[:, 9:] = 0.0
+        self.covariance[9:, 9:] = IDENTITY * FILTER.usual_acceleration**2
+        self.state[9:] = 0.0
 
     def predict(
         self,
         up: Triple,
         turned: Triple,
         seconds: float,
-        motion: MotionPrior,
-        walk: float = FILTER.angle_walk,
+        acceleration: float,
+        walk: float,
     ) -> None:
         """Propagate the state over a block of messages.
 
@@ -236,15 +224,15 @@ class UpFilter:
         self.state[6:9] *= fast
         self.state[9:] *= kept
         grown = walk**2 * seconds + FILTER.turn_error**2 * length(turned)
-        acceleration = length(self.state[9:].tolist())
-        if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
+        found = length(self.state[9:].tolist())
+        if found > CLEAR * math.sqrt(3.0) * acceleration:
             # A wrong up looks like an acceleration; it is forgotten as soon as one ends.
-            grown += acceleration**2 * seconds / FILTER.acceleration_lasts
+            grown += found**2 * seconds / FILTER.acceleration_lasts
         p = step @ self.covariance @ step.T
         walked = GYRO.usual_bias_walk**2 * seconds
-        sped = motion.speed**2 * (1.0 - fast**2)
-        shoved = motion.acceleration**2 * (1.0 - kept**2)
-        p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]
+        sped = USUAL_SPEED**2 * (1.0 - fast**2)
+        shoved = acceleration**2 * (1.0 - kept**2)
+        p.reshape(-1)[::13] += np.repeat([grown, walked, sped, shoved], 3)
         self.covariance = p
 
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
@@ -300,12 +288,7 @@ class UpFilter:
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Update with three measurements; `reads` (3, 12) is their measurement matrix."""
         rows = reads @ self.covariance
-        (a, b, c), (_, d, e), (_, _, f) = (reads @ rows.T).tolist()
-        a, d, f = a + variance, d + variance, f + variance
-        p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-        s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
-        inverse = np.array([[p, q, r], [q, s, t], [r, t, u]]) / (a * p + b * q + c * r)
-        gain = rows.T @ inverse
+        gain = np.linalg.solve(reads @ rows.T + variance * IDENTITY, rows).T
         self.state += gain @ innovation
         p = self.covariance - gain @ rows
         self.covariance = 0.5 * (p + p.T)

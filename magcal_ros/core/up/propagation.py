@@ -22,7 +22,7 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.knowledge import CLEAR
-from magcal_ros.core.up.filter import FILTER, PROPAGATION, REST, MotionPrior, UpFilter
+from magcal_ros.core.up.filter import FILTER, PROPAGATION, REST, USUAL_SPEED, UpFilter
 from magcal_ros.core.up.stillness import (
     ZERO,
     BlockMeans,
@@ -51,26 +51,6 @@ class LinearAcceleration(NamedTuple):
     vector: Triple  # m/s²
     sigma: float  # per axis, m/s²
     lasts: float  # correlation time of its error, seconds
-
-
-class Block(NamedTuple):
-    """Sums over the messages since the filter ran.
-
-    `freed` is the force minus the measured acceleration, minus the propagated up, of the `given`
-    messages that have one.
-    """
-
-    messages: int = 0
-    seconds: float = 0.0
-    force: Triple = ZERO  # g
-    up: Triple = ZERO  # propagated, g
-    rate: Triple = ZERO  # rad/s
-    turn: Triple = ZERO  # radians
-    given: int = 0
-    freed: Triple = ZERO  # g
-    variance: float = 0.0
-    density: float = 0.0
-    """Variance of the measured acceleration, g², and spectral density of its error, g² s."""
 
 
 class MeasuredAcceleration:
@@ -142,14 +122,14 @@ class GyroPropagation:
         self.up = force
         self._stamp, self._force, self._rate = stamp, force, rate
         self.mean_rate = ZERO
-        self._block = Block()
+        self._begin_block()
         self._steady = SteadyInterval()
         self.field.begin()
         self._shaken.forget()
         self._is_still = self.is_settled = False
         self.check.restart()
         turning = self._steady_turn = self._turn_rate(self.rate)
-        self._filter.begin(np.array(force), self._noise, turning, self._motion())
+        self._filter.begin(np.array(force), self._noise, turning, FILTER.usual_acceleration)
         self._take_over()
 
     @property
@@ -171,21 +151,25 @@ class GyroPropagation:
         self.mean_rate = minus(interpolate(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
-        count, lasted, forces, ups, rates, turns, given, freed, variance, density = self._block
-        forces, ups = plus(forces, force), plus(ups, self.up)
-        rates, turns = plus(rates, rate), plus(turns, turn)
+        self._block.append((force, self.up, rate, turn))
+        self._seconds += seconds
         if measured is not None:
             own = scaled(measured.vector, 1.0 / STANDARD_GRAVITY)
-            given, freed = given + 1, plus(freed, minus(minus(force, own), self.up))
-            variance = (measured.sigma / STANDARD_GRAVITY) ** 2 + FILTER.floor**2
-            density = 2.0 * variance * measured.lasts
-        block = self._block = Block(
-            count + 1, lasted + seconds, forces, ups, rates, turns, given, freed, variance, density
-        )
-        if block.seconds >= PROPAGATION.block:
-            self._block = Block()
-            self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
-            self._end(block)
+            self._accelerations.append((measured, minus(minus(force, own), self.up)))
+        if self._seconds >= PROPAGATION.block:
+            self._measure_noise(distance(force, old), distance(rate, before), self._seconds)
+            self._end()
+            self._begin_block()
+
+    def _begin_block(self) -> None:
+        """Begin a block of messages, over which the filter runs at its end.
+
+        Each message has a force (g), the propagated up, rate (rad/s) and turn (radians). Those with
+        a measured acceleration have also the force without it minus the propagated up.
+        """
+        self._block: list[tuple[Triple, Triple, Triple, Triple]] = []
+        self._accelerations: list[tuple[LinearAcceleration, Triple]] = []
+        self._seconds = 0.0
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
         """Use the bias of a fit across up, unless the filter's own estimate is more certain."""
@@ -202,35 +186,37 @@ class GyroPropagation:
         square = min(rate * rate / 6.0, 10.0 * self._rate_noise + smallest)
         self._rate_noise += share * (square - self._rate_noise)
 
-    def _end(self, block: Block) -> None:
+    def _end(self) -> None:
         """Run the filter over a block."""
-        following, noise, share = self._filter, math.sqrt(self._noise), 1.0 / block.messages
-        force, rate = scaled(block.force, share), scaled(block.rate, share)
-        means = BlockMeans(force, rate, block.messages, block.seconds)
+        following, noise = self._filter, math.sqrt(self._noise)
+        count, seconds = len(self._block), self._seconds
+        sums = np.sum(self._block, axis=0)
+        force, up, rate = (sums[:3] / count).tolist()
+        turn: Triple = tuple(sums[3].tolist())
+        means = BlockMeans(tuple(force), tuple(rate), count, seconds)
         self._at_rest = None
-        turn_variance = self._rate_noise * block.seconds**2 / block.messages
-        self.check.add(means.force, block.turn, block.seconds, turn_variance)
+        self.check.add(means.force, turn, seconds, self._rate_noise * seconds**2 / count)
         goes_on = self._steady.add(means, noise, math.sqrt(self._rate_noise))
         if not goes_on:
             self.field.begin()
             self._is_still = False
         ambiguous_rate = self._ambiguous_rate()
-        motion = self._motion(self.is_settled and ambiguous_rate is not None)
+        is_steady = self.is_settled and ambiguous_rate is not None
+        acceleration = self._steady_acceleration if is_steady else FILTER.usual_acceleration
         walk = FILTER.hidden_walk if self.tilt_is_hidden else FILTER.angle_walk
-        following.predict(self.up, block.turn, block.seconds, motion, walk)
+        following.predict(self.up, turn, seconds, acceleration, walk)
         if self.is_settled and (ambiguous_rate is None or not goes_on):
             self.is_settled = False
-            following.forget_motion(self._motion())
+            following.forget_acceleration()
         # An average: noise of the rate times the velocity would look like an acceleration.
-        share = min(1.0, block.seconds / FILTER.acceleration_lasts)
-        newest = self._turn_rate(block.turn) / block.seconds
+        share = min(1.0, seconds / FILTER.acceleration_lasts)
+        newest = self._turn_rate(turn) / seconds
         self._steady_turn += share * (newest - self._steady_turn)
         turning = 0.0 if ambiguous_rate == 0.0 else self._steady_turn
-        innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
-        following.observe_force(innovation, self._noise / block.messages, turning)
+        following.observe_force(np.subtract(force, up), self._noise / count, turning)
         self._up_by_measured = None
-        if block.given:
-            self._observe_measured(block)
+        if self._accelerations:
+            self._observe_measured()
         if not self.is_settled:
             self._settle(ambiguous_rate, noise)
         elif self._steady.seconds > PROPAGATION.memory:
@@ -238,20 +224,24 @@ class GyroPropagation:
         self._look_for_shaken_rest(means)
         self._take_over()
 
-    def _observe_measured(self, block: Block) -> None:
+    def _observe_measured(self) -> None:
         """Correct up by the measured acceleration, as far as that is probably right."""
-        following, measured = self._filter, self._measured
-        seconds = block.seconds * block.given / block.messages
-        up_by_measured = plus(self.up, scaled(block.freed, 1.0 / block.given))
+        following, measured, given = self._filter, self._measured, len(self._accelerations)
+        newest = self._accelerations[-1][0]
+        error = (newest.sigma / STANDARD_GRAVITY) ** 2 + FILTER.floor**2
+        seconds = self._seconds * given / len(self._block)
+        off = np.sum([each for _, each in self._accelerations], axis=0) / given
+        up_by_measured = plus(self.up, tuple(off.tolist()))
         own: Triple = tuple(following.up.tolist())
         if length(up_by_measured) <= 0.0 or length(own) <= 0.0:
             return
-        self._up_by_measured = unit_triple(up_by_measured), block.variance
+        self._up_by_measured = unit_triple(up_by_measured), error
         gap = distance(self._up_by_measured[0], unit_triple(own))
-        variance = block.variance + following.tilt_variance
-        measured.add(gap, variance, seconds, seconds * block.variance / block.density)
+        variance = error + following.tilt_variance
+        independent = seconds / (2.0 * newest.lasts)
+        measured.add(gap, variance, seconds, independent)
         # White noise of the same density has the same effect on a slow estimate.
-        white = block.density / seconds / max(measured.weight(gap, variance), 1e-3)
+        white = error / independent / max(measured.weight(gap, variance), 1e-3)
         following.observe_up(np.array(minus(up_by_measured, own)), white)
 
     def _ambiguous_rate(self) -> float | None:
@@ -300,22 +290,22 @@ class GyroPropagation:
         following.admit_bias(rate)
         following.observe_bias(rate, variance, unit(force))
         if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.shaken_force:
-            following.begin(force, REST.shaken_force**2, 0.0, self._motion(True))
-            following.forget_motion(self._motion())
+            following.begin(force, REST.shaken_force**2, 0.0, self._steady_acceleration)
+            following.forget_acceleration()
 
     def _settle(self, ambiguous_rate: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
-        interval, following, motion = self._steady, self._filter, self._motion(True)
+        interval, following = self._steady, self._filter
         if ambiguous_rate is None:
             return
         # Variance of the accelerations that a steady robot may hide, compared with that of up.
-        hidden = motion.acceleration**2 + (motion.speed * ambiguous_rate) ** 2
+        acceleration = self._steady_acceleration
+        hidden = acceleration**2 + (USUAL_SPEED * ambiguous_rate) ** 2
         tilt_variance = following.tilt_variance
         if ambiguous_rate and tilt_variance <= hidden:
             return
         up: Triple = tuple(following.up.tolist())
-        rest = self._rest, self._rest_sigma
-        evidence = interval.evidence(up, tilt_variance, rest, noise, self._motion().acceleration)
+        evidence = interval.evidence(up, tilt_variance, (self._rest, self._rest_sigma), noise)
         if evidence > -math.inf and self._up_by_measured is not None:
             up_by_measured, variance = self._up_by_measured
             gap = distance(unit_triple(interval.force), up_by_measured)
@@ -327,20 +317,18 @@ class GyroPropagation:
         jump = distance(unit_triple(interval.force), unit_triple(up))
         jump /= math.sqrt(1.0 + math.exp(min(evidence, 300.0)))
         variance = self._noise / interval.count + FILTER.floor**2
-        motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
-        following.begin(np.array(interval.force), variance, ambiguous_rate or 0.0, motion)
+        acceleration = math.hypot(acceleration, jump)
+        following.begin(np.array(interval.force), variance, ambiguous_rate, acceleration)
 
     def _turn_rate(self, rate: Triple) -> float:
         """Return the part about up of a rate without its bias."""
         size = length(self.up)
         return dot(rate, self.up) / size if size > 0.0 else 0.0
 
-    def _motion(self, is_steady: bool = False) -> MotionPrior:
-        """Return the prior of the present motion."""
-        speed, acceleration = FILTER.usual_speed, FILTER.usual_acceleration
-        if is_steady:
-            acceleration = max(FILTER.floor, math.sqrt(self._steady.shake))
-        return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
+    @property
+    def _steady_acceleration(self) -> float:
+        """Prior sigma of the acceleration in steady motion, g per axis."""
+        return max(FILTER.floor, math.sqrt(self._steady.shake))
 
     def _take_over(self) -> None:
         x, y, z, p, q, r = self._filter.state[:6].tolist()

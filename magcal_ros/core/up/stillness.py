@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.samples_tuning import BIAS_AT_REST, STREAMS
-from magcal_ros.core.up.filter import CHECK, REST
+from magcal_ros.core.up.filter import CHECK, FILTER, REST
 
 
 class FieldStillness:
@@ -140,14 +140,12 @@ class SteadyInterval:
         tilt_variance: float,
         length_at_rest: tuple[float, float],
         noise: float,
-        acceleration: float,
     ) -> float:
         """Return the log likelihood ratio of a force that points up, against an acceleration.
 
         Direction and length of the mean force tell both apart. `up` (g) is the propagated one, with
         the variance of its direction, rad². `length_at_rest` is that of the accelerometer and its
-        sigma, g, and `noise` the sigma of one message's force per axis. `acceleration` is the prior
-        sigma of an acceleration, g per axis.
+        sigma, g, and `noise` the sigma of one message's force per axis.
         """
         size, up_size = length(self.force), length(up)
         if size <= 0.0 or up_size <= 0.0:
@@ -156,8 +154,9 @@ class SteadyInterval:
         across, along = tilt_variance + white, length_at_rest[1] ** 2 + white
         jump = distance(scaled(self.force, 1.0 / size), scaled(up, 1.0 / up_size)) ** 2
         # By the jump of its direction, an acceleration is normal, and its square lengthens a force.
-        moving = across + acceleration**2
-        share = acceleration**2 / moving
+        acceleration = FILTER.usual_acceleration**2
+        moving = across + acceleration
+        share = acceleration / moving
         square, spread = share * share * jump, share * across
         excess, longer = size - length_at_rest[0], 0.5 * square + spread
         loose = along + square * spread + spread * spread
@@ -177,7 +176,8 @@ class ShakenRest:
         self._begin()
 
     def _begin(self) -> None:
-        self._seconds, self._count, self._sums = 0.0, 0, (ZERO, ZERO, ZERO)
+        self._seconds = 0.0
+        self._blocks: list[tuple[Triple, Triple, Triple]] = []
 
     def forget(self) -> None:
         """Start again: the field is missing, or time has jumped."""
@@ -190,13 +190,11 @@ class ShakenRest:
         Returns mean force (3,), g, and rate (3,), rad/s, with its variance per axis; None if no
         rest is detected.
         """
-        self._count += 1
         self._seconds += block.seconds
-        force, rate, total = self._sums
-        self._sums = plus(force, block.force), plus(rate, block.rate), plus(total, field)
+        self._blocks.append((block.force, block.rate, field))
         if self._seconds < 1.0:
             return None
-        self._means.append(np.array(self._sums) / self._count)
+        self._means.append(np.mean(self._blocks, axis=0))
         self._begin()
         each = np.array(self._means)
         mean = each.mean(axis=0)

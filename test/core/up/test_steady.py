@@ -17,7 +17,7 @@ def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
 
 
 def shows_up(found, tilt=0.03):
-    odds = found.evidence(UP, tilt**2, (1.0, 5e-4), NOISE, 0.1)
+    odds = found.evidence(UP, tilt**2, (1.0, 5e-4), NOISE)
     return odds + found.seconds / REST.constant_for > REST.sure
 
 
