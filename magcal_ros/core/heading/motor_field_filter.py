@@ -27,15 +27,11 @@ from magcal_ros.core.samples.samples_tuning import STREAMS
 
 EYE = np.eye(3)
 ZERO: Triple = (0.0, 0.0, 0.0)
-PLACE, RESIDUAL, SAMPLE = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Vectors in µT, body axes: the states, which are the field of the place and the residual of the
-motors' field, and their sum, which a sample shows."""
-STATES = slice(0, 6)
-_BY_STATES = np.kron([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], EYE)
-"""These vectors by the states, shape (9, 6)."""
-_BY_EACH = np.vstack([np.kron(each, each).T for each in (_BY_STATES[:, :3], _BY_STATES[:, 3:])])
-"""Their covariance by those of both states, shape (18, 81)."""
-UNCHANGED = np.zeros((3, 2, 3, 3))
+PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
+"""The states, vectors in µT and body axes: field of the place, and residual of the motors' field.
+"""
+SUM = np.hstack([EYE, EYE])  # of both, which a sample shows
+FLAT = PLACE_FIELD.field**2 * EYE  # prior of the field of the place, µT²
 
 
 def _log_normal(median: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -50,8 +46,6 @@ UNSEEN, STREET = (each.ravel() for each in np.meshgrid(_SHARES, _STREETS))
 """Tried pairs: relative residual of the motors' field, and size of the local disturbance, µT."""
 ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()
 """Their prior odds."""
-_BY_PAIR = np.column_stack([np.ones(len(ODDS)), STREET**2, UNSEEN**2])
-"""Factors of covariances: common to all pairs, by the disturbance, and by the residual."""
 _LATE = np.log([[1.0 - MOTION.late_share], [MOTION.late_share]])
 """Logarithms of the prior probabilities that motors run as the inputs show, and that they do not:
 they started or stopped undetected."""
@@ -135,8 +129,8 @@ class MotorFieldFilter:
         self._iron = iron * MICROTESLA**2
         self._of_sample = noise
         self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
-        self._mean = np.zeros((len(UNSEEN), 9))
-        self._covariance = np.zeros((len(UNSEEN), 9, 9))
+        self._mean = np.zeros((len(UNSEEN), 6))
+        self._covariance = np.zeros((len(UNSEEN), 6, 6))
         self.odds: FloatArray = ODDS
         self._block: _Block | None = None
         self._stamp, self._rate = -math.inf, ZERO
@@ -191,8 +185,8 @@ class MotorFieldFilter:
         if block is None or not 0.0 < seconds < STREAMS.longest_field_gap:
             inputs = self._field.at(motor_state)
             self._change = np.zeros(len(inputs.values))
-            by_residual = np.square(UNSEEN)[:, None, None] * inputs.square
-            self._forget(PLACE, inputs.level)
+            by_residual = np.multiply.outer(UNSEEN**2, inputs.square)
+            self._forget(PLACE, FLAT)
             self._forget(RESIDUAL, inputs.level + by_residual)
             # A flat prior is of use to one sample.
             block = self._begin(inputs, rate, 0.0)
@@ -206,7 +200,7 @@ class MotorFieldFilter:
             if stamp >= block.until or block.inputs.differ(motor_state):
                 self._update(block)
                 inputs = self._field.at(motor_state)
-                self._predict(*self._changes(block, inputs, rate))
+                self._predict(block, inputs, rate)
                 block = self._begin(inputs, rate, PLACE_FIELD.block)
         self._block = block
         return block
@@ -215,10 +209,12 @@ class MotorFieldFilter:
         """Begin a block, whose samples are compared with the mean over the tried pairs."""
         mean, noise = self.odds @ self._mean, self._noise
         off = self._mean - mean
-        joint = self._mean_of(self._covariance) + (self.odds * off.T) @ off
-        spread = joint[SAMPLE, SAMPLE] + (inputs.unknown + noise)
-        inverse, determinant = _inverse(np.array([spread, spread + inputs.otherwise]))
-        shared = joint[PLACE, SAMPLE] + noise
+        joint = np.tensordot(self.odds, self._covariance, 1) + (self.odds * off.T) @ off
+        shared = joint @ SUM.T
+        spread = SUM @ shared + inputs.unknown + noise
+        spreads = np.array([spread, spread + inputs.otherwise])
+        inverse = np.linalg.inv(spreads)
+        shared = shared[PLACE] + noise
         gain = shared @ inverse
         # The motors' field contains a part of the sample's noise, which cancels in the difference.
         cancelled = EYE - gain
@@ -226,20 +222,16 @@ class MotorFieldFilter:
         lasting = lasting - cancelled @ noise @ cancelled.swapaxes(1, 2)
         errors = np.empty((2, 2, 3, 3))
         errors[:, 0], errors[:, 1] = lasting, gain @ noise @ gain.swapaxes(1, 2)
-        one, other = (_LATE[:, 0] - 0.5 * np.log(determinant)).tolist()
-        x, y, z, p, q, r = mean[STATES].tolist()
+        one, other = (_LATE[:, 0] - 0.5 * np.linalg.slogdet(spreads)[1]).tolist()
+        x, y, z, p, q, r = mean.tolist()
         outcome = _Outcome(other - one, inverse, gain, errors / MICROTESLA**2)
         return _Block(
             self._stamp, self._stamp + seconds, inputs, rate, outcome, (x, y, z), (p, q, r)
         )
 
-    def _mean_of(self, each: FloatArray) -> FloatArray:
-        """Return the mean over the tried pairs, weighted by their odds."""
-        return np.asarray(self.odds @ each.reshape(len(each), -1)).reshape(each.shape[1:])
-
     def _share(self) -> float:
         """Return the mean square of the relative residual."""
-        return float(self.odds @ np.square(UNSEEN))
+        return float(self.odds @ UNSEEN**2)
 
     def _update(self, block: _Block) -> None:
         """Update by the mean of a block.
@@ -253,20 +245,22 @@ class MotorFieldFilter:
         if self._lasts(block, late):
             # A lasting change is no start or stop: it is another motor, or at rest the place.
             is_place = block.inputs.motor_state.moving == 0.0 and not block.inputs.holds
-            self._forget(PLACE if is_place else RESIDUAL, block.inputs.otherwise, block)
+            which, unknown = (PLACE, FLAT) if is_place else (RESIDUAL, block.inputs.otherwise)
+            x, y, z = (block.count * self.odds @ self._mean[:, which]).tolist()
+            block.off = plus(block.off, (x, y, z))
+            self._forget(which, unknown)
             inverse, weighted, _ = self._innovation(block)
             late = np.zeros(len(UNSEEN))
         elif block.inputs.is_moving:
             odds = self.odds * np.exp(odds - odds.max())
             self.odds = odds / odds.sum()
         part, apart = late[:, None, None], (weighted[1] - weighted[0])[:, :, None]
-        shared = np.ascontiguousarray(self._covariance[:, STATES, SAMPLE])
+        shared = self._covariance @ SUM.T
         step = shared @ (weighted[0][:, :, None] + part * apart)
         known = inverse[0] + part * (inverse[1] - inverse[0])
         known = known - (part * (1.0 - part) * apart) * apart.swapaxes(1, 2)
-        covariance = self._covariance[:, STATES, STATES]
-        covariance = covariance - shared @ known @ shared.swapaxes(1, 2)
-        self._mean = self._mean[:, STATES] + step[:, :, 0]
+        covariance = self._covariance - shared @ known @ shared.swapaxes(1, 2)
+        self._mean = self._mean + step[:, :, 0]
         self._covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
 
     def _innovation(self, block: _Block) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -275,14 +269,14 @@ class MotorFieldFilter:
         Returns the inverse of the innovation's covariance (2, g, 3, 3), the same times the
         innovation (2, g, 3), and the logarithm of prior and likelihood (2, g).
         """
-        mean, off = self._mean[:, SAMPLE], np.array(block.off) / block.count
+        mean, off = self._mean @ SUM.T, np.array(block.off) / block.count
         off = off + self.odds @ mean - mean
-        spread = self._covariance[:, SAMPLE, SAMPLE]
-        spread = spread + (block.inputs.unknown + self._noise / block.count)
-        inverse, determinant = _inverse(np.array([spread, spread + block.inputs.otherwise]))
+        spread = SUM @ self._covariance @ SUM.T + block.inputs.unknown + self._noise / block.count
+        spreads = np.array([spread, spread + block.inputs.otherwise])
+        inverse = np.linalg.inv(spreads)
         weighted = (inverse @ off[:, :, None])[..., 0]
         square = np.einsum("gi,kgi->kg", off, weighted)
-        return inverse, weighted, _LATE - 0.5 * (np.log(determinant) + square)
+        return inverse, weighted, _LATE - 0.5 * (np.linalg.slogdet(spreads)[1] + square)
 
     def _lasts(self, block: _Block, late: FloatArray) -> bool:
         """Whether motors run undetected for too long, so that the change is another one."""
@@ -296,74 +290,42 @@ class MotorFieldFilter:
         self._late_since = math.nan
         return True
 
-    def _changes(
-        self, block: _Block, now: MotorInputs, rate: Triple
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return step and changes of the states since the beginning of a block (`_predict`)."""
-        seconds, values = self._stamp - block.begin, now.values
-        changed = values - block.inputs.values
+    def _predict(self, block: _Block, now: MotorInputs, rate: Triple) -> None:
+        """Predict the states after a block, for the inputs and the rate at its end."""
+        seconds, changed = self._stamp - block.begin, now.values - block.inputs.values
         share = min(seconds / MOTION.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         lasts = math.inf if now.holds else MOTION.body_length
         keeps = math.exp(-seconds / lasts) if now.goes_on(block.inputs) else 0.0
-        step, changes = np.zeros((6, 6)), UNCHANGED.copy()
         # Within the latency, the residual changes by as much as the inputs.
         late = 0.5 * MOTION.body_length / MOTION.latency * (self._field.latency * self._change) ** 2
         level, fresh = now.level + (self._field.gains.T * late) @ self._field.gains, 1.0 - keeps**2
-        changes[0, 1] = fresh * level + keeps**2 * self._field.by_gains(changed)
-        changes[2, 1] = fresh * now.square
         turned = np.array(block.turned)
+        step = np.zeros((6, 6))
         step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
-        place = step[PLACE, PLACE] @ (self.odds @ self._mean[:, PLACE])
+        self._mean = self._mean @ step.T
+        covariance = step @ self._covariance @ step.T
+        place = self.odds @ self._mean[:, PLACE]
         faster = np.array(minus(rate, block.rate))
         across = skew(turned)
         iron = across @ self._iron @ across.T / max(math.hypot(*block.turned), 1e-12)
-        changes[0, 0] = iron + PLACE_FIELD.change(place, turned, faster, block.path, seconds)
-        changes[1, 0] = PLACE_FIELD.path_variance(block.path) * EYE
+        covariance[:, PLACE, PLACE] += (
+            iron
+            + PLACE_FIELD.change(place, turned, faster, block.path, seconds)
+            + PLACE_FIELD.path_variance(block.path) * np.multiply.outer(STREET**2, EYE)
+        )
+        covariance[:, RESIDUAL, RESIDUAL] += (
+            fresh * level
+            + keeps**2 * self._field.by_gains(changed)
+            + fresh * np.multiply.outer(UNSEEN**2, now.square)
+        )
+        self._covariance = covariance
         if now.is_moving:
             share = seconds / DISTURBANCE.amplitude_memory
             self.odds = self.odds + share * (ODDS - self.odds)
-        return step, changes
 
-    def _predict(self, step: FloatArray, changes: FloatArray) -> None:
-        """Predict the states, and the sum that a sample shows.
-
-        `step` (6, 6) is of the states. `changes` are covariances that are added in the order of
-        `_BY_PAIR` and of the states, (3, 2, 3, 3).
-        """
-        step = _BY_STATES @ step
-        added = (_BY_PAIR @ changes.reshape(3, 18)) @ _BY_EACH
-        covariance = step @ self._covariance[:, STATES, STATES] @ step.T
-        self._mean = self._mean[:, STATES] @ step.T
-        self._covariance = covariance + added.reshape(-1, 9, 9)
-
-    def _forget(self, which: slice, level: FloatArray, block: _Block | None = None) -> None:
-        """Reset the field of the place, or the residual to the covariance `level`.
-
-        The innovations of a `block` are those of the new prediction afterwards.
-        """
-        before = self.odds @ self._mean[:, SAMPLE]
+    def _forget(self, which: slice, prior: FloatArray) -> None:
+        """Reset the field of the place, or the residual, to a prior covariance."""
         self._mean[:, which] = 0.0
         self._covariance[:, which] = self._covariance[:, :, which] = 0.0
-        unknown = PLACE_FIELD.field**2 * EYE if which is PLACE else level
-        self._covariance[:, which, which] = unknown
-        self._predict(np.eye(6), UNCHANGED)
-        if block is not None:
-            x, y, z = (block.count * (before - self.odds @ self._mean[:, SAMPLE])).tolist()
-            block.off = plus(block.off, (x, y, z))
-
-
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-_COFACTORS = tuple(
-    (3 * rows[:, None] + columns).ravel()
-    for rows, columns in ((_NEXT, _NEXT), (_LAST, _LAST), (_NEXT, _LAST), (_LAST, _NEXT))
-)
-
-
-def _inverse(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return inverses and determinants of symmetric matrices (..., 3, 3), faster than by LAPACK."""
-    flat = matrices.reshape(*matrices.shape[:-2], 9)
-    a, b, c, d = (flat.take(each, -1) for each in _COFACTORS)
-    cofactors = a * b - c * d
-    determinant = np.einsum("...i,...i", flat[..., :3], cofactors[..., :3])
-    return (cofactors / determinant[..., None]).reshape(matrices.shape), determinant
+        self._covariance[:, which, which] = prior
