@@ -148,6 +148,11 @@ class MotorField:
         """Whether motors may hold the robot with an unmeasured current."""
         return math.isnan(motor_state.current) and not math.isnan(self.reference)
 
+    def values(self, motor_state: MotorState) -> FloatArray:
+        """Return the inputs (n,), zero where they are unknown."""
+        every = [0.0 if math.isnan(each) else each for each in motor_state.values]
+        return np.array([every[INPUTS.index(each)] for each in self.inputs])
+
     def known(self, motor_state: MotorState) -> tuple[FloatArray, FloatArray]:
         """Return the inputs (n,) and their covariance (n, n).
 
@@ -165,7 +170,6 @@ class MotorField:
             share.get(each, moving) * usual**2 if math.isnan(value) else 0.0
             for each, value, usual in zip(self.inputs, inputs, self.usual, strict=True)
         ]
-        values = np.array([0.0 if math.isnan(value) else value for value in inputs])
         if MotorInput.SIDE in self.inputs:
             variances[self.inputs.index(MotorInput.SIDE)] += moving * side * (1.0 - side)
         covariance = np.diag(variances)
@@ -173,7 +177,7 @@ class MotorField:
             step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: motor_state.side}
             steps = np.nan_to_num([step.get(each, 0.0) for each in self.inputs])
             covariance += moving * (1.0 - moving) * np.outer(steps, steps)
-        return values, covariance
+        return self.values(motor_state), covariance
 
     def joint(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""

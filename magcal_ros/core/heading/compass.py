@@ -16,9 +16,8 @@ from magcal_ros.core.calibration.correction import PARAMETERS, MotorField, Motor
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length
+from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
-from magcal_ros.core.heading.motor_inputs import FieldOfInputs
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
 
@@ -103,7 +102,6 @@ class Compass:
         variances, directions = np.linalg.eigh(_body_covariance(calibration))
         self._errors = directions * np.sqrt(np.maximum(variances, 0.0))
         self.motors: MotorField | None = None
-        self._motors: FieldOfInputs | None = None
         self._now: MotorFieldFilter | None = None
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
@@ -113,9 +111,8 @@ class Compass:
 
     def use_motors(self, motors: MotorField | None) -> None:
         """Use another estimate of the motors' field from now on."""
-        self.motors, self._motors = motors, None
+        self.motors = motors
         if motors is not None:
-            self._motors = FieldOfInputs(motors.inputs, motors.gain)
             if self._now is None:
                 own = level_field_covariance(self.calibration)
                 matrix = self.calibration.correction.matrix
@@ -124,7 +121,10 @@ class Compass:
 
     def without_motors(self, raw: Triple, motor_state: MotorState) -> Triple:
         """Return a raw field, tesla, without the motors' field."""
-        return raw if self._motors is None else self._motors.subtracted(raw, motor_state)
+        if self.motors is None:
+            return raw
+        x, y, z = (self.motors.values(motor_state) @ self.motors.gain).tolist()
+        return minus(raw, (x, y, z))
 
     def correct(self, raw: Triple) -> Triple:
         """Return the field of a robot at rest in body axes, tesla."""

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
+from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.vec3 import Triple, length
+from magcal_ros.core.geometry.vec3 import Triple, length, minus
 from magcal_ros.core.heading.heading_tuning import MOTION
 
 MICROTESLA = 1e6
@@ -106,31 +106,8 @@ class MotorInputs(NamedTuple):
 
     def differ(self, now: MotorState) -> bool:
         """Whether motors have started or stopped since, or other inputs are known."""
-        then, isnan = self.motor_state, math.isnan
-        return (
-            then.moving != now.moving
-            or isnan(then.turn_rate) is not isnan(now.turn_rate)
-            or isnan(then.speed) is not isnan(now.speed)
-            or isnan(then.current) is not isnan(now.current)
-        )
-
-
-class FieldOfInputs:
-    """K u in plain floats, in the unit and axes of the `gain` (n, 3)."""
-
-    def __init__(self, inputs: tuple[MotorInput, ...], gain: FloatArray) -> None:
-        self._gains: list[tuple[int, float, float, float]] = [
-            (INPUTS.index(each), *own) for each, own in zip(inputs, gain.tolist(), strict=True)
-        ]
-
-    def subtracted(self, field: Triple, motor_state: MotorState) -> Triple:
-        """Return a field minus K u."""
-        (x, y, z), every = field, motor_state.values
-        for at, by_x, by_y, by_z in self._gains:
-            value = every[at]
-            if value and not math.isnan(value):
-                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
-        return (x, y, z)
+        then = self.motor_state
+        return then.moving != now.moving or [*map(math.isnan, then)] != [*map(math.isnan, now)]
 
 
 class FieldByInputs:
@@ -143,7 +120,6 @@ class FieldByInputs:
         count = len(motors.inputs)
         self._motors = motors
         self.gains = motors.gain @ matrix.T * MICROTESLA
-        self.subtracted = FieldOfInputs(motors.inputs, self.gains).subtracted
         turn = np.kron(np.eye(count), matrix) * MICROTESLA
         by_gains = turn @ motors.covariance @ turn.T
         self._by_gains = by_gains.reshape(count, 3, count, 3).transpose(1, 3, 0, 2)
@@ -152,6 +128,11 @@ class FieldByInputs:
         self._whole = usual.T @ usual
         late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
         self.latency = np.array([MOTION.latency * (each in late) for each in motors.inputs])
+
+    def subtracted(self, field: Triple, motor_state: MotorState) -> Triple:
+        """Return a field minus K u."""
+        x, y, z = (self._motors.values(motor_state) @ self.gains).tolist()
+        return minus(field, (x, y, z))
 
     def at(self, motor_state: MotorState) -> MotorInputs:
         """Return the inputs in a state of the motors."""
