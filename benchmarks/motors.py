@@ -174,9 +174,8 @@ def headings(
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp
                     compass.use_motors(learning.motors)
-            turning = up.rate if up.is_propagated else None
-            above = up.at(sample.stamp, 0.2)
-            seen = CompassReading.of(compass, sample, above, up.rate, now, turning)
+            rate = up.rate if up.is_propagated else None
+            seen = CompassReading.of(compass, sample, up.at(sample.stamp, 0.2), rate, now)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

@@ -191,7 +191,7 @@ class Listener:
             for number, raw in enumerate(raws):
                 is_due = number == 0 or k % 2 == 0
                 if is_due and number in self.compasses and math.isfinite(raw[0]):
-                    self._on_field(number, FieldSample(stamp, tuple(raw)), tuple(rate), stamp)
+                    self._on_field(number, FieldSample(stamp, tuple(raw)), stamp)
 
     def _on_imu(self, sample: ImuSample) -> None:
         self.follower.add(sample)
@@ -204,13 +204,11 @@ class Listener:
         if heading is not None:
             self.fused_rows.append((sample.stamp, heading.yaw, heading.yaw_variance))
 
-    def _on_field(
-        self, number: int, sample: FieldSample, rate: tuple[float, float, float], now: float
-    ) -> None:
+    def _on_field(self, number: int, sample: FieldSample, now: float) -> None:
         if number == 0 or len(self.compasses) == 1:
             self.follower.add_field(sample.stamp, sample.field)
         up = self.follower.at(sample.stamp, STREAMS.max_gap)
-        moment = CompassReading.of(self.compasses[number], sample, up, rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, self.follower.rate)
         if len(self.compasses) > 1:
             joined = self.several.add(number, moment, now, self.fused)
             if joined is None:

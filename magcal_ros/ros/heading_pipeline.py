@@ -266,8 +266,8 @@ class HeadingPipeline:
         motor_state = None
         if compass.motors is not None:
             motor_state = self.motors.motor_state(sample.stamp, compass.motors)
-        turning = self.up.rate if self.up.is_propagated else None
-        return CompassReading.of(compass, sample, up, streams.newest_rate, motor_state, turning)
+        rate = self.up.rate if self.up.is_propagated else None
+        return CompassReading.of(compass, sample, up, rate, motor_state)
 
     def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""

@@ -237,7 +237,7 @@ class CompassReading(NamedTuple):
     field: Triple  # corrected, body axes, tesla
     up: Up | None  # of the same moment; None if no IMU sample is near enough
     heading: Heading | None  # None if field or up have no direction
-    rate: Triple | None  # the newest, rad/s; NaN without a gyro, None before any IMU message
+    rate: Triple | None  # without the gyro's bias, rad/s, body axes; None without a usable gyro
 
     @classmethod
     def of(
@@ -247,16 +247,14 @@ class CompassReading(NamedTuple):
         up: Up | None,
         rate: Triple | None,
         motor_state: MotorState | None = None,
-        turning: Triple | None = None,
     ) -> CompassReading:
         """Return a field sample, corrected by a compass.
 
-        Unless `motor_state` is given, the motors are assumed to be off. `turning` is the rate
-        without the gyro's bias, rad/s, body axes; None without a usable gyro.
+        Unless `motor_state` is given, the motors are assumed to be off.
         """
         field, motors, heading = compass.correct(sample.field), None, None
         if motor_state is not None:
-            field, motors = compass.at_rest(sample.stamp, sample.field, turning, motor_state)
+            field, motors = compass.at_rest(sample.stamp, sample.field, rate, motor_state)
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
         return cls(sample.stamp, field, up, heading, rate)

@@ -251,7 +251,7 @@ class SeveralCompasses:
         if abs(since) > STREAMS.longest_gyro_step:
             return None
         seen, rate = then.field, reading.rate
-        if since and rate is not None and math.isfinite(rate[0]):
+        if since and rate is not None:
             seen = propagated(seen, scaled(rate, since))
         level = levelled(seen, up)
         if level is None:

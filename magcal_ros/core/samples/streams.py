@@ -226,11 +226,6 @@ class Streams:
         """The newest IMU sample; None before the first."""
         return self._imu[-1] if self._imu else None
 
-    @property
-    def newest_rate(self) -> Triple | None:
-        """Angular rate of the newest IMU sample, rad/s; None before the first."""
-        return self._imu[-1].rate if self._imu else None
-
     def imu_has_passed(self, stamp: float) -> bool:
         """Whether no further IMU sample before `stamp` can come."""
         return bool(self._imu) and self._imu[-1].stamp >= stamp

@@ -83,7 +83,7 @@ class Scene:
 
     def take(self, number, sample):
         up = self.up.at(sample.stamp, 0.2)
-        moment = CompassReading.of(self.compasses[number], sample, up, self.imu.rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, self.up.rate)
         joined = self.several.add(number, moment, self.imu.stamp, self.fused)
         if joined is not None and joined.heading is not None:
             if self.fused is not None:
