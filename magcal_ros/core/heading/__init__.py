@@ -13,6 +13,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     motor_field_filter: MotorFieldFilter ODDS UNSEEN
     motor_inputs: MotionDetector
     several_compasses: SeveralCompasses
-    yaw_filter: GyroDrift PERFECT YawFilter
+    yaw_filter: BY_COMPASS BY_REST GyroDrift PERFECT YawFilter
     """,
 )

@@ -32,6 +32,9 @@ from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, level
 from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
 from magcal_ros.core.heading.heading_tuning import FUSION, PLACE_FIELD
 from magcal_ros.core.heading.yaw_filter import (
+    BY_COMPASS,
+    BY_REST,
+    BY_YAW,
     UNKNOWN_YAW,
     GyroDrift,
     YawFilter,
@@ -123,10 +126,8 @@ class FusedYaw:
             return
         if self._heading_variance and not self.has_external_yaw:
             self._end_headings()
-        x, y, z = up.direction
         bias = self._filter.bias
-        p, q, r = rate
-        turn = ((p - bias * x) * seconds, (q - bias * y) * seconds, (r - bias * z) * seconds)
+        turn = scaled(minus(rate, scaled(up.direction, bias)), seconds)
         north = propagated(self._north, turn)
         level = levelled(north, up.direction)
         if level is None:
@@ -152,13 +153,13 @@ class FusedYaw:
         if variance < own:
             # With this noise the posterior variance of the bias is the known one.
             noise = variance * own / (own - variance)
-            self._turn(following.observe_bias(-following.bias, noise))
+            self._turn(following.observe(BY_REST, 0.0, noise))
             self._gyro_drift.begin(dot(known.rate, self._up.direction), variance)
         self._learn_at_rest(known)
 
     def _learn_at_rest(self, known: GyroBias) -> None:
         """Learn the bias and its random walk at rest."""
-        rests, following = self._rests, self._filter
+        rests = self._rests
         if known.at_rest is not None:
             rate, noise = known.at_rest
             rests.append((self._stamp, dot(rate, self._up.direction), 1.0 / noise))
@@ -169,9 +170,9 @@ class FusedYaw:
         rests.clear()
         self._gyro_drift.add_rest(self._stamp, shown, 1.0 / weight, self._walk_variance)
         self._walk_variance = 0.0
-        left = shown - dot(known.rate, self._up.direction) - following.bias
+        left = shown - dot(known.rate, self._up.direction)
         noise = 1.0 / weight + self._gyro_drift.rest_turn
-        self._turn(following.observe_bias(left, noise))
+        self._turn(self._filter.observe(BY_REST, left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Correct the yaw by the compass.
@@ -243,7 +244,7 @@ class FusedYaw:
             return missed
         noise = variance * max(1.0, 2.0 * self._gyro_drift.heading_error_time / since)
         self._learn_drift(stamp, innovation, variance, since)
-        self._turn(self._filter.observe_yaw(innovation, noise))
+        self._turn(self._filter.observe(BY_YAW, innovation, noise))
         return missed
 
     def _learn_drift(self, stamp: float, innovation: float, variance: float, since: float) -> None:
@@ -377,7 +378,7 @@ class FusedYaw:
             following.follow(share, momentary, compass)
             turned = share * innovation
         else:
-            turned = following.observe(innovation, noise, compass)
+            turned = following.observe(BY_COMPASS, innovation, noise, compass)
         self._turn(turned)
         return is_overruled
 

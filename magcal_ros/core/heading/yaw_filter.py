@@ -126,7 +126,7 @@ class YawFilter:
         self._own *= np.outer(scale, scale)
 
     def spread(self, noise: float, compass: FloatArray) -> float:
-        """Return the variance of compass minus yaw, rad²; parameters as for `observe`."""
+        """Return the variance of compass minus yaw, rad², with a `noise` like in `observe`."""
         apart = compass + BY_COMPASS @ self._by_errors
         return self.known_spread(noise) + float(apart @ self._covariance @ apart)
 
@@ -134,26 +134,16 @@ class YawFilter:
         """Return the same without the calibration's errors."""
         return float(BY_COMPASS @ self._own @ BY_COMPASS) + noise
 
-    def observe(self, innovation: float, noise: float, compass: FloatArray) -> float:
-        """Update with compass minus propagated yaw; return the correction of the yaw, radians.
-
-        `innovation` is in radians, without the estimated errors of the calibration, `noise` its
-        further variance, rad², and `compass` the errors of the compass.
-        """
-        return self._correct(BY_COMPASS, innovation - self.disturbance, noise, compass)
-
-    def observe_yaw(self, innovation: float, noise: float) -> float:
-        """Update with another device's yaw minus the propagated one; otherwise as `observe`."""
-        return self._correct(BY_YAW, innovation, noise)
-
-    def observe_bias(self, left: float, noise: float) -> float:
-        """Update with the rate about up at rest minus the bias; otherwise as `observe`."""
-        return self._correct(BY_REST, left, noise)
-
-    def _correct(
-        self, seen: FloatArray, left: float, noise: float, compass: FloatArray | float = 0.0
+    def observe(
+        self, seen: FloatArray, value: float, noise: float, compass: FloatArray | float = 0.0
     ) -> float:
-        """Update with the innovation of a sum of the states, then estimate the errors."""
+        """Update with a measured sum of the states; return the correction of the yaw, radians.
+
+        `seen` is `BY_COMPASS`, `BY_YAW` or `BY_REST`. `value` is the measured yaw minus the
+        propagated one, without the estimated errors of the calibration, or a rate, and `noise` its
+        variance; radians or rad/s. `compass` are the errors of the compass, if it measured.
+        """
+        left = value - float(seen[BIAS]) * self.bias - float(seen[DISTURBANCE]) * self.disturbance
         apart, by = compass + seen @ self._by_errors, self._own @ seen
         spread = float(seen @ by) + noise
         gain = by / spread

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.heading import PERFECT, GyroDrift, YawFilter
+from magcal_ros.core.heading import BY_COMPASS, BY_REST, PERFECT, GyroDrift, YawFilter
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_remaining_hard_iron_is_averaged_over_the_headings():
         following.change_disturbance(0.9, 1e-6)
         seen = compass(k * math.tau / 72.0)
         innovation = float(seen[:2] @ iron - seen @ following.errors) - off
-        off += following.observe(innovation, 1e-5, seen)
+        off += following.observe(BY_COMPASS, innovation, 1e-5, seen)
     assert following.errors[:2] == pytest.approx(iron, abs=0.2)
     assert abs(off) < 0.1 * sigma
     assert abs(off) < 3.0 * math.sqrt(following.yaw_variance + following.own_error_variance)
@@ -69,7 +69,7 @@ def test_a_rest_shows_the_bias_and_corrects_the_yaw():
     for _ in range(600):
         following.propagate(0.1, 0.0, 0.0)
     # The bias of 0.5 mrad/s that was not known has turned the yaw by 30 mrad to the left.
-    turned = following.observe_bias(5e-4, 1e-10)
+    turned = following.observe(BY_REST, 5e-4, 1e-10)
     assert following.bias == pytest.approx(5e-4, rel=1e-3)
     assert turned == pytest.approx(-0.03, rel=1e-3)
     assert math.sqrt(following.yaw_variance) < 1e-3
@@ -82,6 +82,6 @@ def test_the_disagreement_of_compasses_stays_in_the_yaw_variance():
     for _ in range(200):
         following.propagate(0.5, 1e-6, 1e-14)
         following.change_disturbance(0.9, 1e-6)
-        following.observe(math.radians(5.0), 1e-6, compass)
+        following.observe(BY_COMPASS, math.radians(5.0), 1e-6, compass)
     assert following.errors[-2] == 0.0
     assert math.sqrt(following.own_error_variance) == pytest.approx(sigma, rel=0.05)
