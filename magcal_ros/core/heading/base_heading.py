@@ -15,7 +15,6 @@ from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
 from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
 from magcal_ros.core.knowledge import CLEAR
@@ -130,9 +129,6 @@ class BaseHeading:
     def __init__(self, imu_in_base: FloatArray) -> None:
         self.pose = imu_in_base
         self._is_imu = bool(np.allclose(imu_in_base, np.eye(3), atol=1e-12))
-        self._forward, self._left, self._up = (
-            (float(row[0]), float(row[1]), float(row[2])) for row in imu_in_base
-        )
 
     def heading(self, imu_heading: Heading) -> Heading:
         """Return the base's heading.
@@ -142,28 +138,23 @@ class BaseHeading:
         """
         if self._is_imu:
             return imu_heading
-        east, north, up = rotation_from_rpy(
-            imu_heading.roll, imu_heading.pitch, imu_heading.yaw
-        ).tolist()
-        forward, left, top = self._forward, self._left, self._up
-        fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
-        roll = math.atan2(dot(up, left), dot(up, top))
-        pitch = -math.asin(min(1.0, max(-1.0, fu)))
-        tilt, by_east, by_north = (
-            imu_heading.tilt_variance,
-            imu_heading.by_east,
-            imu_heading.by_north,
-        )
+        roll, pitch, yaw, tilt, _, by_east, by_north, *_ = imu_heading
+        imu = rotation_from_rpy(roll, pitch, yaw)
+        base = imu @ self.pose.T
         rest = imu_heading.yaw_variance - tilt * (by_east * by_east + by_north * by_north)
         if by_east or by_north:
-            level = max(fe * fe + fn * fn, SMALLEST_FORWARD)
-            was = max(east[0] * east[0] + north[0] * north[0], SMALLEST_FORWARD)
-            by_east += east[0] * up[0] / was - fe * fu / level
-            by_north += north[0] * up[0] / was - fn * fu / level
-        variance = rest + tilt * (by_east * by_east + by_north * by_north)
-        of_compass = imu_heading.noise_variance, imu_heading.lasting_variance
-        return Heading(
-            roll, pitch, math.atan2(fn, fe), tilt, variance, by_east, by_north, *of_compass
+            (e, n, u), (fe, fn, fu) = imu[:, 0].tolist(), base[:, 0].tolist()
+            was, level = (max(1.0 - rise * rise, SMALLEST_FORWARD) for rise in (u, fu))
+            by_east += e * u / was - fe * fu / level
+            by_north += n * u / was - fn * fu / level
+        roll, pitch, yaw = rpy_from_rotation(base)
+        return imu_heading._replace(
+            roll=roll,
+            pitch=pitch,
+            yaw=yaw,
+            yaw_variance=rest + tilt * (by_east * by_east + by_north * by_north),
+            by_east=by_east,
+            by_north=by_north,
         )
 
 

@@ -104,19 +104,6 @@ class _CompassState:
             self.changed = now
         self.reading, self.arrived = reading, now
 
-    def learn_deviation(self, stamp: float, turned: tuple[float, float]) -> None:
-        """Learn the deviation of its field from calibration and gyro.
-
-        `turned` is its yaw minus that of the gyro, radians, and the variance of the gyro's yaw,
-        rad², infinite without one.
-        """
-        assert self.reading is not None
-        assert self.reading.up is not None
-        field, up = self.reading.field, self.reading.up
-        self.extra_variance = self.deviation.add(
-            stamp, field, up.direction, up.variance, turned=turned
-        )
-
     @property
     def heading(self) -> Heading:
         """The heading of its last message, which has one."""
@@ -268,10 +255,14 @@ class SeveralCompasses:
         self, number: int, seen: Triple, yaws: dict[int, float], known: float
     ) -> CompassYaw:
         member, own = self._members[number], yaws[number]
+        reading = member.reading
+        assert reading is not None
+        assert reading.up is not None
         # A single compass, or one that agrees with another, may be right and the gyro's yaw wrong.
         others = [wrapped(own - each) for other, each in yaws.items() if other != number]
-        member.learn_deviation(
-            self._stamp, (min([own, *others], key=abs), known if others else math.inf)
+        turned = min([own, *others], key=abs), known if others else math.inf
+        member.extra_variance = member.deviation.add(
+            self._stamp, reading.field, *reading.up, turned=turned
         )
         return CompassYaw(number, seen, own, member.own_variance + member.extra_variance)
 

@@ -102,18 +102,12 @@ def yaw_progress(
         return None
     up = unit(force.mean(axis=0))
     by_gyro = None if rate is None else integral(time, rate @ up)
-    if by_gyro is not None and np.ptp(by_gyro) < COVERAGE.gyro_leads_until:
-        return _beyond_drift(time, by_gyro)
-    by_field = _magnetic_progress(field, up)
-    if by_field is None and by_gyro is not None:
-        return _beyond_drift(time, by_gyro)
-    return by_field
-
-
-def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:
-    """Return the gyro's turn if it exceeds the drift of a gyro at rest; else None."""
+    if by_gyro is None or np.ptp(by_gyro) >= COVERAGE.gyro_leads_until:
+        by_field = _magnetic_progress(field, up)
+        if by_field is not None or by_gyro is None:
+            return by_field
     drift = COVERAGE.largest_gyro_bias * float(time[-1] - time[0])
-    return turned if np.ptp(turned) > COVERAGE.smallest_turn + drift else None
+    return by_gyro if np.ptp(by_gyro) > COVERAGE.smallest_turn + drift else None
 
 
 def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from operator import add, sub
+from operator import add
 
 import numpy as np
 
@@ -100,12 +100,13 @@ class DriveRecorder:
         self._begin_piece()
 
     def _begin_piece(self) -> None:
-        self._rows: list[list[float]] = []
+        self._rows: list[FloatArray] = []
         self._recent.clear()
         self._held.clear()
-        self._sums, self._count, self._row = [0.0] * WIDTH, 0, -math.inf
+        self._samples: list[tuple[float, ...]] = []
+        self._row = -math.inf  # stamp at which the row of these samples began
         self._imu: ImuSample | None = None
-        self._path, self._path_of_row = [0.0] * 7, [math.nan] * 7
+        self._path, self._path_of_row = [0.0] * 7, np.full(7, math.nan)
         self.rests = False
 
     @property
@@ -139,10 +140,9 @@ class DriveRecorder:
         if stamp >= self._row + RECORDER.row:
             grown = self._close()
             self._row = stamp
-        self._count += 1
         self._go_on(pair)
         row = (stamp, *pair.field.field, *imu.force, *imu.rate, *self._path, speed, 0.0)
-        self._sums = list(map(add, self._sums, row))
+        self._samples.append(row)
         return grown
 
     def _go_on(self, pair: Pair) -> None:
@@ -198,12 +198,12 @@ class DriveRecorder:
 
     def _close(self) -> bool:
         """Finish a row, and a full chunk; return whether the log has grown."""
-        if self._count:
-            row = [value / self._count for value in self._sums]
-            path, before = row[SPAN], self._path_of_row
-            row[SPAN], self._path_of_row = list(map(sub, path, before)), path
+        if self._samples:
+            row = np.mean(self._samples, axis=0)
+            path = row[SPAN].copy()
+            row[SPAN] -= self._path_of_row
             self._rows.append(row)
-            self._sums, self._count = [0.0] * WIDTH, 0
+            self._samples, self._path_of_row = [], path
         if len(self._rows) < RECORDER.chunk:
             return False
         chunk = np.array(self._rows)

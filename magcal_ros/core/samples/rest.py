@@ -117,7 +117,7 @@ def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool
     time = rows[:, 0]
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
     if has_gyro:
-        rate, rate_sigma = mean_and_sigma(time, _mean_rates(rows))
+        rate, rate_sigma = _mean_and_sigma(time, _mean_rates(rows))
         # Rotation by the gyro over the step between them, which may go back in time.
         way, later = last[0] - beside[0], max(last, beside, key=lambda row: float(row[0]))
         gained = 0.5 * (last[RATE] + beside[RATE]) * way
@@ -174,7 +174,7 @@ def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Longe
     return LongestRest(rates.mean(axis=0), sigma, bool(longest.rests))
 
 
-def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
+def _mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
     """Return the mean of values (n, 3) at rest and its sigma per axis, slow noise included."""
     first, _ = _split(time)
     means = block_means(values, first)

@@ -181,12 +181,8 @@ class Window:
         """Return the window with the battery's current from messages, if it is known."""
         if not len(messages) or not len(self):
             return self
-        begin, end = float(self.time[0]), float(self.time[-1])
-        for rest in self.rests:
-            begin, end = (
-                min(begin, rest.beside - rest.seconds),
-                max(end, rest.beside + rest.seconds),
-            )
+        begin = min([float(self.time[0]), *(rest.beside - rest.seconds for rest in self.rests)])
+        end = max([float(self.time[-1]), *(rest.beside + rest.seconds for rest in self.rests)])
         return replace(self, battery=battery_of(messages, begin, end))
 
     @property

@@ -20,7 +20,6 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, u
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import CLEAR, STREET_LENGTH, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_in_words
-from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session.external_heading import (
     ExternalHeading,
@@ -104,14 +103,13 @@ class CollectedSamples:
                 f"{SESSION.rest:g} s, and {KNOWN.fewest} are needed: check that both sensors "
                 "publish, and check their stamps",
             )
-        time = np.array([pair.field.stamp for pair in self.pairs])
         field = np.array([pair.field.field for pair in self.pairs])
         force = np.array([pair.imu.force for pair in self.pairs])
         rate = np.array([pair.imu.rate for pair in self.pairs]) - self.bias
         noise = _noise(field)
         _refuse_motion(field, rate, noise)
         return KnownHeadingMeasurement(
-            mean_and_sigma(time, field)[0],
+            field.mean(axis=0),
             force.mean(axis=0),
             wrapped(self.given.yaw + declination),
             self.given.sigma,
