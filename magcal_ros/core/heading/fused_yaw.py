@@ -48,7 +48,6 @@ from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
 
 HISTORY = 512  # IMU messages that are kept to find the moment of a field message
-UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is already subtracted
 
 
 class _YawRecord(NamedTuple):
@@ -104,12 +103,7 @@ class FusedYaw:
         self._path.clear()
 
     def propagate(
-        self,
-        stamp: float,
-        up: Up,
-        rate: Triple,
-        known: GyroBias = UNBIASED,
-        is_at_rest: bool = False,
+        self, stamp: float, up: Up, rate: Triple, known: GyroBias, is_at_rest: bool = False
     ) -> None:
         """Propagate to the next IMU message.
 

@@ -30,6 +30,7 @@ CALIBRATED = Calibration(
     ROBOT.inclination,
     EVIDENCE,
 )
+UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)
 IRON = np.array([0.3 * ROBOT.strength, 0.0, 0.0])
 """Tesla to the east: it turns the compass by 35 degrees."""
 
@@ -120,7 +121,7 @@ def test_a_start_with_an_uncertain_up_is_corrected_by_a_better_compass():
         yaw, variance = (math.radians(20.0), 0.05) if k < 25 else (0.0, 0.01)
         field = (north * math.sin(yaw), north * math.cos(yaw), down)
         heading = compass.heading(field, up, variance)
-        fused.propagate(0.02 * k, Up(up, variance), (0.0, 0.0, 0.0))
+        fused.propagate(0.02 * k, Up(up, variance), (0.0, 0.0, 0.0), UNBIASED)
         fused.correct(0.02 * k, field, Up(up, variance), heading)
     assert abs(math.degrees(fused.heading().yaw)) < 4.0
 
@@ -354,7 +355,7 @@ def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
     assert reported[1] < math.radians(2.0)
     assert fused.take_heading(200.0, heading.yaw + 1.0, 1e-4, (1.0, 0.0, 0.0)) is None
     last = 100.0 + 0.02 * 3000
-    fused.propagate(last, up, (0.0, 0.0, 0.0))
+    fused.propagate(last, up, (0.0, 0.0, 0.0), UNBIASED)
     before = fused.heading().yaw
     assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > FUSION.heading_gate
     assert fused.heading().yaw == before
@@ -389,7 +390,8 @@ def test_external_headings_show_whether_gyro_or_compass_is_better(walk):
     for k in range(16000):
         stamp = 100.0 + 0.02 * k
         bias += walk * math.sqrt(0.02) * rng.standard_normal()
-        fused.propagate(stamp, up, (0.0, 0.0, bias + 2e-3 * rng.standard_normal()))
+        rate = (0.0, 0.0, bias + 2e-3 * rng.standard_normal())
+        fused.propagate(stamp, up, rate, UNBIASED)
         if k % 5 == 0:
             fused.correct(stamp, field, up, heading)
         if k % 10 == 5 and k < 13000:
