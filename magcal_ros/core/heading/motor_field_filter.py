@@ -61,54 +61,49 @@ class MotorCovariance(NamedTuple):
     noise: FloatArray  # covariance (3, 3) of the remaining noise of the sample
 
 
-class _Outcome(NamedTuple):
-    """The field of the place by a sample: means over the tried pairs.
-
-    The first of two is for motors that run as the inputs show, the other for motors that do not.
-    """
-
-    odds: float  # logarithm of the odds of the other, for a sample as predicted
-    inverse: FloatArray  # of the covariance of a sample's innovation, 1/µT², (2, 3, 3)
-    gain: FloatArray  # what an innovation adds to the predicted field of the place, (2, 3, 3)
-    errors: FloatArray  # the two covariances of `MotorCovariance`, tesla², (2, 2, 3, 3)
-
-    def late(self, innovation: FloatArray) -> float:
-        """Return the probability that the motors do not run as the inputs show."""
-        one, other = ((self.inverse @ innovation) @ innovation).tolist()
-        return 1.0 / (1.0 + math.exp(min(0.5 * (other - one) - self.odds, 300.0)))
-
-    def field(
-        self, innovation: FloatArray, late: float, place: Triple
-    ) -> tuple[Triple, MotorCovariance]:
-        """Return the field of the place with the sample's remaining noise, tesla; and its errors.
-
-        `place` is the predicted field, µT.
-        """
-        one, other = self.gain @ innovation / MICROTESLA
-        apart = other - one
-        x, y, z = (one + late * apart).tolist()
-        lasting, noise = self.errors[0] + late * (self.errors[1] - self.errors[0])
-        lasting = lasting + late * (1.0 - late) * (apart[:, None] * apart)
-        predicted = scaled(place, 1.0 / MICROTESLA)
-        return plus(predicted, (x, y, z)), MotorCovariance(lasting, noise)
-
-
 @dataclass
 class _Block:
-    """The samples since the filter ran."""
+    """The samples since the filter ran, which are compared with the mean over the tried pairs.
+
+    The first of two outcomes is for motors that run as the inputs show, the other for motors that
+    do not. `late` is the probability of the other at the newest sample.
+    """
 
     begin: float
     until: float
     """Stamps, seconds: of its first sample, and from which a sample begins the next block."""
     inputs: MotorInputs  # at the beginning, like the rate in rad/s
     rate: Triple
-    outcome: _Outcome
     place: Triple  # prediction for the newest sample, µT
     residual: Triple
+    odds: float  # logarithm of the odds of the other outcome, for a sample as predicted
+    inverse: FloatArray  # of the covariance of a sample's innovation, 1/µT², (2, 3, 3)
+    gain: FloatArray  # what an innovation adds to the predicted field of the place, (2, 3, 3)
+    errors: FloatArray  # the two covariances of `MotorCovariance`, tesla², (2, 2, 3, 3)
     off: Triple = ZERO  # sum of the innovations, µT
     count: int = 0
+    late: float = 0.0
     turned: Triple = ZERO  # radians
     path: float = 0.0  # metres
+
+    def add(self, sample: Triple) -> tuple[Triple, MotorCovariance]:
+        """Add a sample minus K u, µT; return the field of the place in tesla, and its errors.
+
+        The field contains the sample's remaining noise.
+        """
+        off = minus(sample, plus(self.place, self.residual))
+        self.off, self.count = plus(self.off, off), self.count + 1
+        innovation = np.array(off)
+        shown, not_shown = ((self.inverse @ innovation) @ innovation).tolist()
+        ratio = math.exp(min(0.5 * (not_shown - shown) - self.odds, 300.0))
+        late = self.late = 1.0 / (1.0 + ratio)
+        one, other = self.gain @ innovation / MICROTESLA
+        apart = other - one
+        x, y, z = (one + late * apart).tolist()
+        lasting, noise = self.errors[0] + late * (self.errors[1] - self.errors[0])
+        lasting = lasting + late * (1.0 - late) * (apart[:, None] * apart)
+        predicted = scaled(self.place, 1.0 / MICROTESLA)
+        return plus(predicted, (x, y, z)), MotorCovariance(lasting, noise)
 
 
 class MotorFieldFilter:
@@ -134,7 +129,7 @@ class MotorFieldFilter:
         self.odds: FloatArray = ODDS
         self._block: _Block | None = None
         self._stamp, self._rate = -math.inf, ZERO
-        self._late, self._late_since = 0.0, math.nan
+        self._late_since = math.nan
         self._change = np.zeros(0)
         self.use(motors)
 
@@ -160,12 +155,7 @@ class MotorFieldFilter:
         if not self._is_felt or rate is None:
             return self._by_inputs(field, motor_state)
         block = self._block_at(stamp, rate, motor_state)
-        off = self._field.subtracted(scaled(field, MICROTESLA), motor_state)
-        off = minus(off, plus(block.place, block.residual))
-        block.off, block.count = plus(block.off, off), block.count + 1
-        innovation = np.array(off)
-        self._late = block.outcome.late(innovation)
-        return block.outcome.field(innovation, self._late, block.place)
+        return block.add(self._field.subtracted(scaled(field, MICROTESLA), motor_state))
 
     def _by_inputs(self, field: Triple, motor_state: MotorState) -> tuple[Triple, MotorCovariance]:
         """Return a sample minus K u alone, for a residual that samples cannot show."""
@@ -192,7 +182,7 @@ class MotorFieldFilter:
             block = self._begin(inputs, rate, 0.0)
         else:
             # A robot at rest has a gyro's noise and no turn, unless its motors run undetected.
-            moves = 1.0 if motor_state.moving > 0.0 else self._late
+            moves = 1.0 if motor_state.moving > 0.0 else block.late
             turn = scaled(mean_rate, moves * seconds)
             block.turned = plus(block.turned, turn)
             block.path += moves * seconds * PLACE_FIELD.path(motor_state.speed, rate)
@@ -224,9 +214,17 @@ class MotorFieldFilter:
         errors[:, 0], errors[:, 1] = lasting, gain @ noise @ gain.swapaxes(1, 2)
         one, other = (_LATE[:, 0] - 0.5 * np.linalg.slogdet(spreads)[1]).tolist()
         x, y, z, p, q, r = mean.tolist()
-        outcome = _Outcome(other - one, inverse, gain, errors / MICROTESLA**2)
         return _Block(
-            self._stamp, self._stamp + seconds, inputs, rate, outcome, (x, y, z), (p, q, r)
+            self._stamp,
+            self._stamp + seconds,
+            inputs,
+            rate,
+            (x, y, z),
+            (p, q, r),
+            other - one,
+            inverse,
+            gain,
+            errors / MICROTESLA**2,
         )
 
     def _share(self) -> float:
