@@ -83,7 +83,6 @@ class FieldDeviation:
         self._mean = self._calibrated
         self._stamp = -math.inf
         self._mean_excess = self._seconds = 0.0
-        self._disturbed_since: float | None = None
 
     def add(
         self,
@@ -111,8 +110,7 @@ class FieldDeviation:
         if self._distance(self._calibrated, tilt_variance) < 1.0:
             self._expected = self._calibrated
         self.deviation = self._distance(self._expected, tilt_variance)
-        self.use = self._judge()
-        self._note(stamp, yaw)
+        self._judge(stamp, yaw)
         # After a jump of time the next sample counts as one second.
         seconds = seconds if is_next else 1.0
         return self._yaw_variance(size, dip, tilt_variance, turned, seconds)
@@ -183,25 +181,21 @@ class FieldDeviation:
         """Variance of a good field per axis, over its squared strength."""
         return self._variances(0.0)[0]
 
-    def _judge(self) -> FieldUse:
-        # A sigma of hysteresis, so that a field at the limit is not used intermittently.
+    def _judge(self, stamp: float, yaw: float) -> None:
+        """Judge the field, record a disturbance, and accept one that has lasted long enough."""
         was_ignored = self.use is FieldUse.IGNORED
-        if self.deviation >= CLEAR - was_ignored:
-            return FieldUse.IGNORED
-        return FieldUse.GOOD if self.deviation <= 1.0 else FieldUse.WEIGHED_DOWN
-
-    def _note(self, stamp: float, yaw: float) -> None:
-        """Record the disturbance, and accept another field that has lasted long enough."""
+        goes_on = was_ignored and not self.is_accepted
         self.is_accepted = False
-        if self.use is not FieldUse.IGNORED:
-            self._disturbed_since = None
+        # A sigma of hysteresis, so that a field at the limit is not used intermittently.
+        if self.deviation < CLEAR - was_ignored:
+            self.use = FieldUse.GOOD if self.deviation <= 1.0 else FieldUse.WEIGHED_DOWN
             return
+        self.use = FieldUse.IGNORED
         strength, dip = _deviation(self._mean, self._expected)
         last = self.last
-        if self._disturbed_since is None or last is None:
-            self._disturbed_since = stamp
+        if last is None or not goes_on:
             last = Disturbance(stamp, stamp, yaw, strength, dip)
-        self.is_accepted = stamp - self._disturbed_since > self.patience
+        self.is_accepted = stamp - last.since > self.patience
         self.last = Disturbance(
             last.since,
             stamp,
@@ -211,7 +205,7 @@ class FieldDeviation:
             self.is_accepted,
         )
         if self.is_accepted:
-            self._expected, self._disturbed_since = self._mean, None
+            self._expected = self._mean
 
 
 def _deviation(field: tuple[float, float], expected: tuple[float, float]) -> tuple[float, float]:

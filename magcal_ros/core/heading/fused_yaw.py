@@ -47,8 +47,6 @@ from magcal_ros.core.up.filter import GYRO
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
 
-HISTORY = 512  # IMU messages that are kept to find the moment of a field message
-
 
 class _YawRecord(NamedTuple):
     """North as propagated to a stamp, and the sum of the yaw's corrections until then."""
@@ -62,7 +60,7 @@ class FusedYaw:
     """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted."""
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
-        self._path: deque[_YawRecord] = deque(maxlen=HISTORY)
+        self._path: deque[_YawRecord] = deque(maxlen=STREAMS.remembered)
         self._filter, self._gyro_drift = YawFilter(), GyroDrift()
         self._measure_by(calibration, patience)
         self.restart()
