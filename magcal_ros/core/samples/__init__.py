@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
     battery: battery_of with_one_reference
-    bursts: BurstWatch bursts_in_words spread_bursts spread_each
+    bursts: bursts_in_words spread_bursts spread_each
     coverage: BINS Coverage thin_to_equal_angles yaw_progress
     drive_log: DriveRecorder log_of
     rest: COLUMNS GyroAtRest rests_around

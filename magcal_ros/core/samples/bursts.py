@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, accumulated
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.samples_tuning import BURSTS
 
 
@@ -28,14 +26,17 @@ def long_gaps(time: FloatArray) -> FloatArray:
     return long if apart < BURSTS.apart * usual else gaps[:0]
 
 
-def bursts_in_words(time: FloatArray) -> str:
-    """Return a warning that stamps (n,) come in bursts, with a remedy; empty if they do not."""
+def bursts_in_words(time: FloatArray, shortest: float = 0.0) -> str:
+    """Return a warning that stamps (n,) come in bursts, with a remedy; empty if they do not.
+
+    Bursts less than `shortest` seconds apart are harmless.
+    """
     long = long_gaps(time)
-    if not len(long):
+    if not len(long) or (apart := float(np.median(long))) <= shortest:
         return ""
     return (
-        f"the stamps come in bursts, {float(np.median(long)):.2f} s apart: stamp each sample when "
-        "it is measured, not when a buffer is read"
+        f"the stamps come in bursts, {apart:.2f} s apart: stamp each sample when it is measured, "
+        "not when a buffer is read"
     )
 
 
@@ -75,22 +76,3 @@ def spread_each(time: FloatArray) -> FloatArray:
     period = float(np.median(gaps[first[1:] - 1] / counts[1:]))
     last = np.repeat(first + counts - 1, counts)
     return np.asarray(time[last] - period * (last - np.arange(len(time))))
-
-
-class BurstWatch:
-    """Detects stamps that come in bursts, from the gaps between them."""
-
-    def __init__(self) -> None:
-        self._gaps: deque[float] = deque(maxlen=BURSTS.watched)
-
-    def add(self, gap: float) -> None:
-        """Add the time since the previous stamp, seconds."""
-        self._gaps.append(gap)
-
-    @property
-    def words(self) -> str:
-        """A warning with a remedy; empty if bursts are absent or harmless."""
-        time = accumulated(np.array(self._gaps))
-        long = long_gaps(time)
-        is_harmful = len(long) > 0 and float(np.median(long)) > BURSTS.harmful
-        return bursts_in_words(time) if is_harmful else ""

@@ -8,9 +8,12 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import accumulated
 from magcal_ros.core.geometry.vec3 import Triple, dot, interpolate, length, scaled
-from magcal_ros.core.samples.bursts import BurstWatch
-from magcal_ros.core.samples.samples_tuning import STREAMS
+from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.samples_tuning import BURSTS, STREAMS
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
@@ -69,12 +72,12 @@ class Pair(NamedTuple):
 class StampGuard:
     """Accepts increasing stamps only, until time is set back for good.
 
-    `newest` is in seconds, minus infinity before the first; `bursts` watches the accepted stamps.
+    `newest` is in seconds, minus infinity before the first.
     """
 
     def __init__(self) -> None:
         self.newest = -math.inf
-        self.bursts = BurstWatch()
+        self._gaps: deque[float] = deque(maxlen=BURSTS.watched)
         self._backward = 0
 
     def check(self, stamp: float) -> DropReason | None:
@@ -89,9 +92,14 @@ class StampGuard:
                 return DropReason.BACKWARD_STAMP
         self._backward = 0
         if -math.inf < self.newest < stamp:
-            self.bursts.add(stamp - self.newest)
+            self._gaps.append(stamp - self.newest)
         self.newest = stamp
         return None
+
+    @property
+    def bursts_in_words(self) -> str:
+        """A warning with a remedy if the stamps come in harmful bursts; else empty."""
+        return bursts_in_words(accumulated(np.array(self._gaps)), BURSTS.harmful)
 
 
 class Streams:

@@ -270,7 +270,7 @@ def complaints(streams: Streams, imu: InputCounts, mag: InputCounts) -> list[str
     if mag.drops[DropReason.REPEATED] > COMPLAINTS.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     for counts, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
-        found += [f"{counts.topic}: {words}"] if (words := stamps.bursts.words) else []
+        found += [f"{counts.topic}: {words}"] if (words := stamps.bursts_in_words) else []
     offset = stamp_offset(streams)
     if offset:
         found.append(

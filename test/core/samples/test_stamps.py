@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core import Reason, Refusal, Window
 from magcal_ros.core.samples import (
-    BurstWatch,
+    StampGuard,
     bursts_in_words,
     spread_bursts,
     spread_each,
@@ -99,15 +99,15 @@ class TestMended:
         assert np.abs(found - measured[kept]).max() < 2e-3
 
 
-class TestBurstWatch:
+class TestStampGuard:
     """A running robot's stamps, gap after gap."""
 
     def words(self, *stamps):
-        watch = BurstWatch()
+        guard = StampGuard()
         for time in stamps:
-            for gap in np.diff(time):
-                watch.add(float(gap))
-        return watch.words
+            for stamp in max(guard.newest, 0.0) + 1.0 + time:
+                guard.check(float(stamp))
+        return guard.bursts_in_words
 
     @pytest.mark.parametrize("period", [0.2, 0.9])
     @pytest.mark.parametrize("within", [5, 40, 150])
