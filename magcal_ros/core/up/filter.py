@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.knowledge import CLEAR
 
@@ -155,9 +155,6 @@ class UpFilter:
         self.state: FloatArray = np.zeros(12)
         self.covariance: FloatArray = np.zeros((12, 12))
         self.covariance[3:6, 3:6] = IDENTITY * FILTER.bias_sigma**2
-        self._transition = np.eye(12)
-        self._reads: FloatArray = np.hstack([IDENTITY, np.zeros((3, 6)), IDENTITY])
-        self._reads_up: FloatArray = np.eye(3, 12)
 
     @property
     def up(self) -> FloatArray:
@@ -187,7 +184,7 @@ class UpFilter:
         self.covariance[:] = 0.0
         self.covariance[3:6, 3:6] = own
         # Up is the force without both accelerations.
-        less = -np.hstack([_centripetal(force.tolist(), rate), IDENTITY])
+        less = -np.hstack([skew(rate * unit(force)), IDENTITY])
         prior = np.repeat([USUAL_SPEED**2, acceleration**2], 3)
         self.covariance[6:, 6:] = np.diag(prior)
         self.covariance[:3, 6:] = shared = less * prior
@@ -213,12 +210,11 @@ class UpFilter:
         `up` is up after the block, propagated by the gyro without its bias, `turned` the rotation
         vector of the body, radians, body axes, and `walk` the random walk of its error, rad/√s.
         """
-        step = self._transition
+        step = np.eye(12)
         fast = math.exp(-seconds / FILTER.speed_lasts)
         kept = math.exp(-seconds / FILTER.acceleration_lasts)
         step[:3, :3] = exp_rotation(-np.array(turned))
-        x, y, z = (seconds * each for each in up)
-        step[:3, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+        step[:3, 3:6] = -skew(seconds * np.array(up))
         step.reshape(-1)[78::13] = (fast, fast, fast, kept, kept, kept)
         self.state[:3] = up
         self.state[6:9] *= fast
@@ -242,14 +238,14 @@ class UpFilter:
         about up, rad/s. Roll and pitch rates are left out: they are shaking, in phase with that of
         the accelerometer.
         """
-        reads = self._reads
-        reads[:, 6:9] = _centripetal(self.state[:3].tolist(), rate)
+        turning = skew(rate * unit(self.up))
+        reads = np.hstack([IDENTITY, np.zeros((3, 3)), turning, IDENTITY])
         left = innovation - reads[:, 6:] @ self.state[6:]
         self._correct(reads, variance + FILTER.floor**2, left)
 
     def observe_up(self, innovation: FloatArray, variance: float) -> None:
         """Update with up as a measured acceleration gives it, minus the propagated one, g."""
-        self._correct(self._reads_up, variance, innovation)
+        self._correct(np.eye(3, 12), variance, innovation)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Update with the mean rate of a block without a turn.
@@ -292,10 +288,3 @@ class UpFilter:
         self.state += gain @ innovation
         p = self.covariance - gain @ rows
         self.covariance = 0.5 * (p + p.T)
-
-
-def _centripetal(up: Triple, rate: float) -> FloatArray:
-    """Return the matrix from velocity to centripetal acceleration, for a rate about up, rad/s."""
-    size = length(up)
-    x, y, z = (rate / size * each for each in up) if size > 0.0 else (0.0, 0.0, 0.0)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

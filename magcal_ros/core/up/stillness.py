@@ -248,24 +248,20 @@ class GyroCheck:
         mean, before = scaled(self._force, 1.0 / self._seconds), self._before
         self._before = mean, self._turn
         if before is not None:
-            self._compare(*before, mean, self._seconds)
+            # A direction fixed in the world changes in the body by u x w dt.
+            expected = cross(before[0], interpolate(before[1], self._turn, 0.5))
+            seen = minus(mean, before[0])
+            squares = dot(expected, expected), dot(seen, seen)
+            self._slope.add(dot(expected, seen), *squares, self._seconds, 3.0)
+            # The noise across the force, in the mean of two turns.
+            keeps = math.exp(-self._seconds / CHECK.memory)
+            self._noise = keeps * self._noise + self._variance
+            if self._slope.predicted > CHECK.enough**2 + CHECK.clear_noise * self._noise:
+                least, most = self._slope.bounds(CLEAR)
+                # The slope of a correct gyro is one, of a mirrored one minus one.
+                if most < 0.0 or least > 0.0:
+                    self.is_consistent = most > 0.0
         self._begin()
-
-    def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
-        """Compare the change of the mean force between spans with the gyro's prediction."""
-        # A direction fixed in the world changes in the body by u x w dt.
-        expected = cross(old, interpolate(old_turn, self._turn, 0.5))
-        seen = minus(new, old)
-        self._slope.add(dot(expected, seen), dot(expected, expected), dot(seen, seen), seconds, 3.0)
-        # The noise across the force, in the mean of two turns.
-        self._noise = math.exp(-seconds / CHECK.memory) * self._noise + self._variance
-        if self._slope.predicted > CHECK.enough**2 + CHECK.clear_noise * self._noise:
-            least, most = self._slope.bounds(CLEAR)
-            # The slope of a correct gyro is one, of a mirrored one minus one.
-            if most < 0.0:
-                self.is_consistent = False
-            elif least > 0.0:
-                self.is_consistent = True
 
 
 class DeadAxes:
