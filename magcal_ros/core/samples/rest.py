@@ -215,14 +215,13 @@ def _rests(
 
 def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_SteadyInterval]:
     """Return every rest without a gyro: the field is constant over the whole stretch."""
-    alone = _Blocks.of(
-        field, *blocks, BIAS_AT_REST.smallest_turn * float(np.ptp(field, axis=0).max())
-    )
-    turned = np.ptp(alone.mean, axis=0) > BIAS_AT_REST.shown * np.median(alone.limit, axis=0)
+    allowed = BIAS_AT_REST.smallest_turn * float(np.ptp(field, axis=0).max())
+    mean, limit, stays = _means(field, blocks, allowed)
+    turned = np.ptp(mean, axis=0) > BIAS_AT_REST.shown * np.median(limit, axis=0)
     return [
         _SteadyInterval(start, end, np.zeros((end - start, 3)))
-        for start, end in (_runs(alone.stays) if turned.any() else [])
-        if (np.ptp(alone.mean[start:end], axis=0) <= alone.limit[start:end].max(axis=0)).all()
+        for start, end in (_runs(stays) if turned.any() else [])
+        if (np.ptp(mean[start:end], axis=0) <= limit[start:end].max(axis=0)).all()
     ]
 
 
@@ -230,42 +229,39 @@ def _steady(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray], radius: float
 ) -> list[_SteadyInterval]:
     """Return where field and rate are constant; `radius` is that of the field's circle."""
-    swing = float(np.ptp(field, axis=0).max())
-    fields = _Blocks.of(field, *blocks, BIAS_AT_REST.smallest_turn * swing)
-    rates = _Blocks.of(rate, *blocks, BIAS_AT_REST.loose_rate)
+    allowed = BIAS_AT_REST.smallest_turn * float(np.ptp(field, axis=0).max())
+    fields, limit, field_stays = _means(field, blocks, allowed)
+    rates, _, rate_stays = _means(rate, blocks, BIAS_AT_REST.loose_rate)
     found = []
-    for start, end in _runs(fields.stays & rates.stays):
-        inside, seen = rates.mean[start:end], fields.mean[start:end]
+    for start, end in _runs(field_stays & rate_stays):
+        inside, seen = rates[start:end], fields[start:end]
         # The change of the field by a turn at the mean rate.
         turned = float(np.linalg.norm(inside.mean(axis=0))) * BIAS_AT_REST.block * (len(inside) - 1)
         chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
         moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
-        shows = chord > BIAS_AT_REST.shown * float(fields.limit[start:end].max())
+        shows = chord > BIAS_AT_REST.shown * float(limit[start:end].max())
         rests = moved < BIAS_AT_REST.most_moved * chord if shows else None
         found.append(_SteadyInterval(start, end, inside, rests))
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    """Means over blocks (b, 3), limits of changes at rest (b, 3), and which are constant (b,)."""
+def _means(
+    values: FloatArray, blocks: tuple[IntArray, IntArray], allowed: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return means over blocks (b, 3), limits of changes at rest (b, 3), and which rest (b,).
 
-    mean: FloatArray
-    limit: FloatArray
-    stays: BoolArray
-
-    @classmethod
-    def of(cls, values: FloatArray, first: IntArray, count: IntArray, allowed: float) -> _Blocks:
-        """Average, and compare each block with the next `BIAS_AT_REST.at_least` - 1 blocks."""
-        mean = block_means(values, first)
-        noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
-        limit = allowed + BIAS_AT_REST.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
-        stays = np.zeros(len(mean), dtype=bool)
-        stays[: 1 - BIAS_AT_REST.at_least] = True
-        for k in range(1, BIAS_AT_REST.at_least):
-            apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
-            stays[: len(apart)] &= ~apart.any(axis=1)
-        return cls(mean, limit, stays)
+    Each block is compared with the next `BIAS_AT_REST.at_least` - 1 blocks.
+    """
+    first, count = blocks
+    mean = block_means(values, first)
+    noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
+    limit = allowed + BIAS_AT_REST.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
+    stays = np.zeros(len(mean), dtype=bool)
+    stays[: 1 - BIAS_AT_REST.at_least] = True
+    for k in range(1, BIAS_AT_REST.at_least):
+        apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
+        stays[: len(apart)] &= ~apart.any(axis=1)
+    return mean, limit, stays
 
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:

@@ -55,10 +55,6 @@ class Steps(NamedTuple):
         sums = [np.diff(accumulated(each)[rows], axis=0) for each in self]
         return Steps(-rotation_vectors_near(turned, -sums[0]), *sums[1:])
 
-    def beyond(self, line: Steps) -> Steps:
-        """Return the difference from straight lines, with the same intervals."""
-        return Steps(self.angle - line.angle, self.velocity - line.velocity, self.intervals)
-
 
 def steps_of(rows: FloatArray) -> Steps:
     """Return the steps of samples in rows (n, COLUMNS or more).
@@ -175,7 +171,9 @@ class Window:
 
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the integrals of all samples of an IMU with a gyro."""
-        return replace(self, missed=steps.beyond(self._straight))
+        (angle, velocity, intervals), line = steps, self._straight
+        missed = Steps(angle - line.angle, velocity - line.velocity, intervals)
+        return replace(self, missed=missed)
 
     def with_battery(self, messages: Messages) -> Window:
         """Return the window with the battery's current from messages, if it is known."""
