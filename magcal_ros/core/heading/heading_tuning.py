@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import IDENTITY
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.knowledge import STREET_LENGTH
 from magcal_ros.core.up.filter import GYRO
-
-EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class PlaceFieldTuning:
         # At rest, vehicles pass by.
         passing = 2.0 * DISTURBANCE.amplitude**2 * seconds / FUSION.standing_tau
         square = float(place @ place)
-        return np.asarray((lost + passing) * square * EYE - lost * place[:, None] * place)
+        return np.asarray((lost + passing) * square * IDENTITY - lost * place[:, None] * place)
 
     def path_variance(self, path: float) -> float:
         """Return the process noise by a path in metres, for a local disturbance of 1 µT, µT²."""

@@ -19,19 +19,18 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import MotorField, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotation, skew
+from magcal_ros.core.geometry.rotations import IDENTITY, exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
 from magcal_ros.core.heading.heading_tuning import DISTURBANCE, MOTION, PLACE_FIELD
 from magcal_ros.core.heading.motor_inputs import MICROTESLA, FieldByInputs, MotorInputs
 from magcal_ros.core.samples.samples_tuning import STREAMS
 
-EYE = np.eye(3)
 ZERO: Triple = (0.0, 0.0, 0.0)
 PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
 """The states, vectors in µT and body axes: field of the place, and residual of the motors' field.
 """
-SUM = np.hstack([EYE, EYE])  # of both, which a sample shows
-FLAT = PLACE_FIELD.field**2 * EYE  # prior of the field of the place, µT²
+SUM = np.hstack([IDENTITY, IDENTITY])  # of both, which a sample shows
+FLAT = PLACE_FIELD.field**2 * IDENTITY  # prior of the field of the place, µT²
 
 
 def _log_normal(median: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,7 +122,7 @@ class MotorFieldFilter:
         self._matrix = matrix
         self._iron = iron * MICROTESLA**2
         self._of_sample = noise
-        self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
+        self._noise = noise * MICROTESLA**2 + 1e-4 * IDENTITY
         self._mean = np.zeros((len(UNSEEN), 6))
         self._covariance = np.zeros((len(UNSEEN), 6, 6))
         self.odds: FloatArray = ODDS
@@ -207,7 +206,7 @@ class MotorFieldFilter:
         shared = shared[PLACE] + noise
         gain = shared @ inverse
         # The motors' field contains a part of the sample's noise, which cancels in the difference.
-        cancelled = EYE - gain
+        cancelled = IDENTITY - gain
         lasting = (joint[PLACE, PLACE] + noise) - gain @ shared.T
         lasting = lasting - cancelled @ noise @ cancelled.swapaxes(1, 2)
         errors = np.empty((2, 2, 3, 3))
@@ -300,7 +299,7 @@ class MotorFieldFilter:
         level, fresh = now.level + (self._field.gains.T * late) @ self._field.gains, 1.0 - keeps**2
         turned = np.array(block.turned)
         step = np.zeros((6, 6))
-        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
+        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * IDENTITY
         self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
         place = self.odds @ self._mean[:, PLACE]
@@ -310,7 +309,7 @@ class MotorFieldFilter:
         covariance[:, PLACE, PLACE] += (
             iron
             + PLACE_FIELD.change(place, turned, faster, block.path, seconds)
-            + PLACE_FIELD.path_variance(block.path) * np.multiply.outer(STREET**2, EYE)
+            + PLACE_FIELD.path_variance(block.path) * np.multiply.outer(STREET**2, IDENTITY)
         )
         covariance[:, RESIDUAL, RESIDUAL] += (
             fresh * level

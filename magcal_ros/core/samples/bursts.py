@@ -40,12 +40,6 @@ def bursts_in_words(time: FloatArray, shortest: float = 0.0) -> str:
     )
 
 
-def evenly(time: FloatArray) -> FloatArray:
-    """Return stamps (n,) spread evenly in the order in which they came, by a line through them."""
-    rank = np.arange(len(time), dtype=np.float64)
-    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
-
-
 def spread_bursts(time: FloatArray) -> FloatArray | None:
     """Return the stamps of a sensor with a constant rate, from stamps that come in bursts.
 
@@ -56,7 +50,8 @@ def spread_bursts(time: FloatArray) -> FloatArray | None:
     long = long_gaps(time)
     if not len(long) or len(time) < BURSTS.each * len(long):
         return None
-    even = evenly(time - time[0])
+    rank = np.arange(len(time), dtype=np.float64)
+    even = np.polyval(np.polyfit(rank, time - time[0], 1), rank)
     late = time - time[0] - even
     if np.ptp(late) > BURSTS.straight * float(np.median(long)):
         return None

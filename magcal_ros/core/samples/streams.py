@@ -234,10 +234,6 @@ class Streams:
         """The newest IMU sample; None before the first."""
         return self._imu[-1] if self._imu else None
 
-    def imu_has_passed(self, stamp: float) -> bool:
-        """Whether no further IMU sample before `stamp` can come."""
-        return bool(self._imu) and self._imu[-1].stamp >= stamp
-
 
 def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
     """Return the newest sample at or before a stamp, and the one after it.
@@ -300,7 +296,8 @@ class Pairer:
     def take(self) -> list[Pair]:
         """Return the pairs that can be made now, in the order of their stamps."""
         pairs: list[Pair] = []
-        while self._waiting and self._streams.imu_has_passed(self._waiting[0].stamp):
+        newest = self._streams.newest_imu
+        while self._waiting and newest and newest.stamp >= self._waiting[0].stamp:
             sample = self._waiting.popleft()
             imu = self._streams.imu_at(sample.stamp)
             if imu is None:

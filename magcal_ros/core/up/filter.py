@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import exp_rotation, skew
+from magcal_ros.core.geometry.rotations import IDENTITY, exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.knowledge import CLEAR
 
@@ -128,7 +128,6 @@ class GyroCheckTuning:
     by more than the measured noise."""
     dead: int = 100  # messages with noise on another axis after which a constant axis is dead
     near_up: float = 0.7  # least part of up along working axes: within 45° of up
-    bend: float = 1e-4  # least second difference of a noisy rate, over the rate
 
 
 FILTER, GYRO, REST, PROPAGATION, CHECK = (
@@ -138,7 +137,6 @@ FILTER, GYRO, REST, PROPAGATION, CHECK = (
     PropagationTuning(),
     GyroCheckTuning(),
 )
-IDENTITY: FloatArray = np.eye(3)
 USUAL_SPEED = FILTER.usual_speed / STANDARD_GRAVITY  # g s
 
 

@@ -27,6 +27,7 @@ from magcal_ros.core.geometry.vec3 import (
 )
 from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.samples_tuning import BIAS_AT_REST, STREAMS
+from magcal_ros.core.samples.window import NOISELESS
 from magcal_ros.core.up.filter import CHECK, FILTER, REST
 
 
@@ -300,5 +301,5 @@ class DeadAxes:
             before, last = self._last
             bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
             self._has_changed = [a or rate[k] != last[k] for k, a in enumerate(self._has_changed)]
-            self._noisy += max(bends) > CHECK.bend * max(map(abs, rate))
+            self._noisy += max(bends) > NOISELESS * max(map(abs, rate))
         self._last = [*self._last[-1:], rate]

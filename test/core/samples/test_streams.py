@@ -145,7 +145,7 @@ class TestImuDrops:
         assert streams.add_imu(imu(0.6))
         assert not streams.add_imu(sample)
         assert streams.imu_drops == {reason: 1}
-        assert not streams.imu_has_passed(0.7)
+        assert streams.newest_imu == imu(0.6)
 
     def test_a_sample_without_gyro_is_used(self):
         streams = Streams(MAX_GAP)
