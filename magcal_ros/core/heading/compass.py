@@ -45,6 +45,11 @@ class Heading(NamedTuple):
     # (13,): yaw error (radians) by each of thirteen independent unit errors; the last is constant
     lasting: tuple[float, ...] = CERTAIN
 
+    @property
+    def variance_by_tilt(self) -> float:
+        """The remaining part of the yaw's variance, by the error of up and the motors' field."""
+        return max(0.0, self.yaw_variance - self.noise_variance - self.lasting_variance)
+
     def quaternion(self, declination: float = 0.0) -> Quaternion:
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
         return quaternion_from_rpy(self.roll, self.pitch, true_yaw(self.yaw, declination))

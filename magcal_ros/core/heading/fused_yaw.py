@@ -85,7 +85,7 @@ class FusedYaw:
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
-        self._shift = self._seconds_unlearned = self._drift = self._walk_variance = 0.0
+        self._shift = self._seconds_unlearned = self._drift = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
@@ -131,7 +131,7 @@ class FusedYaw:
         drift = self._gyro_drift
         self._filter.propagate(seconds, drift.share * walk, drift.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
-        self._walk_variance += walk
+        drift.walk_variance += walk
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep the estimate of the whole bias when the subtracted part changes."""
@@ -160,8 +160,7 @@ class FusedYaw:
         weight = sum(each for *_, each in rests)
         shown = sum(each * about for _, about, each in rests) / weight
         rests.clear()
-        self._gyro_drift.add_rest(self._stamp, shown, 1.0 / weight, self._walk_variance)
-        self._walk_variance = 0.0
+        self._gyro_drift.add_rest(self._stamp, shown, 1.0 / weight)
         left = shown - dot(known.rate, self._up.direction)
         noise = 1.0 / weight + self._gyro_drift.rest_turn
         self._turn(self._filter.observe(BY_REST, left, noise))
@@ -209,7 +208,7 @@ class FusedYaw:
         if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
             self._jump_shift = then.shift
             before = self.field_jump
-            variance = self._filter.known_spread(self._by_tilt(heading) + heading.noise_variance)
+            variance = self._filter.known_spread(heading.variance_by_tilt + heading.noise_variance)
             odds = 0.0 if before is None else before.after(innovation, variance)
             self.field_jump = FieldJump(stamp, innovation, self._level_field(*seen), odds)
 
@@ -247,8 +246,8 @@ class FusedYaw:
         if stamp - self._heading_since >= FUSION.heading_tau:
             count = len(self._heading_gaps)
             yaw_gap = sum(self._heading_gaps) / count
-            self._gyro_drift.add_heading(stamp, yaw_gap, variance, count, self._walk_variance)
-            self._heading_gaps, self._heading_since, self._walk_variance = [], stamp, 0.0
+            self._gyro_drift.add_heading(stamp, yaw_gap, variance, count)
+            self._heading_gaps, self._heading_since = [], stamp
             mean, covariance = self._gyro_drift.yaw_gap()
             self._heading_variance = (
                 float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
@@ -256,8 +255,8 @@ class FusedYaw:
 
     def _end_headings(self) -> None:
         """Continue without headings, with the variance by a possible drift of the headings."""
-        self._gyro_drift.propagate(self._stamp, self._walk_variance)
-        self._walk_variance = self._heading_variance = 0.0
+        self._gyro_drift.propagate(self._stamp)
+        self._heading_variance = 0.0
         mean, covariance = self._gyro_drift.yaw_gap()
         if covariance[0, 0] > self._filter.yaw_variance:
             bias = self._filter.bias + dot(self._known.rate, self._up.direction)
@@ -320,16 +319,11 @@ class FusedYaw:
 
     def _change_disturbance(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""
-        known = self._filter.yaw_variance + self._by_tilt(heading)
+        known = self._filter.yaw_variance + heading.variance_by_tilt
         across = max(0.0, innovation**2 - known) * self._level_share
         self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
         tau = FUSION.standing_tau if self._is_at_rest else FUSION.moving_tau
         self._filter.change_disturbance(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
-
-    @staticmethod
-    def _by_tilt(heading: Heading) -> float:
-        own = heading.noise_variance + heading.lasting_variance
-        return max(0.0, heading.yaw_variance - own)
 
     def _level_field(self, stamp: float, level: float, yaw: float, gap: float) -> LevelField:
         """Return the level field by the yaw before the jump.
@@ -347,7 +341,7 @@ class FusedYaw:
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
     ) -> bool:
         """Correct yaw and bias by the innovation; return whether the field overrules the yaw."""
-        following, by_tilt = self._filter, self._by_tilt(heading)
+        following, by_tilt = self._filter, heading.variance_by_tilt
         bent = self._disturbance_variance
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         contradiction = (innovation / CLEAR) ** 2 / following.spread(by_tilt + by_noise, compass)

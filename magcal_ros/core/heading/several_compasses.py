@@ -326,7 +326,6 @@ class SeveralCompasses:
         heading = self.reference_compass.heading(reading.field, up.direction, up.variance)
         if heading is None:
             return reading._replace(heading=None)
-        by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
         lasting = differing = noise = bent = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
@@ -338,7 +337,7 @@ class SeveralCompasses:
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return reading._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + differing + noise + bent,
+                yaw_variance=heading.variance_by_tilt + lasting + differing + noise + bent,
                 lasting_variance=lasting + differing,
                 noise_variance=noise,
                 lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(differing)),

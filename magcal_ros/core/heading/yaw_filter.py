@@ -191,7 +191,8 @@ class GyroDrift:
     `share` is the variance of this gyro's random walk of angle over the usual one. `walked` is the
     random walk of its bias, (rad/s)² per second, and `rest_turn` the squared turn rate of a robot
     that seems to rest, (rad/s)². `heading_error_time` is the correlation time of the headings'
-    errors, seconds.
+    errors, seconds. The usual random walk of the angle is added to `walk_variance`, rad², which is
+    that since the last heading or rest.
     """
 
     def __init__(self) -> None:
@@ -229,22 +230,20 @@ class GyroDrift:
         `bias` is the gyro's whole bias about up, rad/s, with its `variance`, (rad/s)².
         """
         self._stamp, self._heard = math.nan, -math.inf
+        self.walk_variance = 0.0
         count = len(self._walks)
         self._state: FloatArray = np.tile([0.0, -bias, 0.0, 0.0, 0.0], (count, 1))
         start = np.diag([UNKNOWN_YAW, variance, 0.0, 0.0, 0.0])
         self._covariance: FloatArray = np.tile(start, (count, 1, 1))
         self._covariance[:, 4, 4] = self._drift_rates
 
-    def add_heading(
-        self, stamp: float, yaw_gap: float, variance: float, count: int, walk_variance: float
-    ) -> None:
+    def add_heading(self, stamp: float, yaw_gap: float, variance: float, count: int) -> None:
         """Add the mean of headings over `FUSION.heading_tau` seconds.
 
         `yaw_gap` is the mean minus the yaw of the gyro alone, radians. `variance` is the variance
-        of each of `count` headings, rad². `walk_variance` is the usual random walk of the gyro's
-        angle since the last heading or rest, rad².
+        of each of `count` headings, rad².
         """
-        self.propagate(stamp, walk_variance)
+        self.propagate(stamp)
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
             self._covariance[:, 3, 3] += FUSION.drift_jump**2 * (self._drift_walks > 0.0)
         steady, drifting, _ = self._log_odds.reshape(-1, DRIFT_KINDS).T
@@ -259,14 +258,15 @@ class GyroDrift:
         self._covariance[:, 2, 2] += (1.0 - kept**2) * self._left * variance
         self._update(yaw_gap, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
 
-    def add_rest(self, stamp: float, rate: float, variance: float, walk_variance: float) -> None:
-        """Add the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
-        self.propagate(stamp, walk_variance)
+    def add_rest(self, stamp: float, rate: float, variance: float) -> None:
+        """Add the gyro's mean rate about up while the robot seems to rest, rad/s."""
+        self.propagate(stamp)
         self._update(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
 
-    def propagate(self, stamp: float, walk_variance: float) -> None:
-        """Propagate to a stamp; `walk_variance` as for `add_heading`."""
+    def propagate(self, stamp: float) -> None:
+        """Propagate to a stamp."""
         seconds, self._stamp = stamp - self._stamp, stamp
+        walk_variance, self.walk_variance = self.walk_variance, 0.0
         if not seconds > 0.0:
             return
         covariance = self._covariance

@@ -19,7 +19,8 @@ def test_rests_show_the_random_walk_of_the_bias_and_whether_the_robot_stands(wal
     for k in range(100):
         bias += walk * math.sqrt(30.0) * rng.standard_normal()
         shown = bias + math.hypot(noise, turn) * rng.standard_normal()
-        loss.add_rest(30.0 * k, shown, noise**2, 3e-5)
+        loss.walk_variance = 3e-5
+        loss.add_rest(30.0 * k, shown, noise**2)
     if not turn:
         assert walk / 2.0 < math.sqrt(loss.walked) < 2.0 * walk
     assert math.sqrt(loss.rest_turn) == pytest.approx(turn, rel=0.5, abs=1e-4)
@@ -35,7 +36,8 @@ def test_headings_show_the_correlation_time_of_their_errors(lasts):
     new = sigma * math.sqrt(1.0 - kept**2 if lasts else 0.1)
     for k in range(150):
         wrong = kept * wrong + new * rng.standard_normal()
-        loss.add_heading(2.0 * k, wrong, sigma**2, 10, 2e-6)
+        loss.walk_variance = 2e-6
+        loss.add_heading(2.0 * k, wrong, sigma**2, 10)
     if lasts:
         assert 8.0 < loss.heading_error_time < 50.0
     else:
