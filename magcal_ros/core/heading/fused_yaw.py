@@ -305,17 +305,14 @@ class FusedYaw:
         return self.detector.amplitude_variance / self._level_share
 
     def _begin(self, measured: Triple, heading: Heading) -> None:
-        level = levelled(measured, self._up.direction)
-        if level is None:
-            return
-        self._north = level
+        self._north = measured
         variance = heading.yaw_variance - heading.lasting_variance
         bias = self._known.variance + FUSION.bias_sigma**2
         bent = self._disturbance_variance
         self._filter.begin(variance, min(bias, 1.0), bent, errors_of(heading.lasting))
         self._gyro_drift.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._start_stamp = self._stamp
-        self._path.append(_YawRecord(self._stamp, level, self._shift))
+        self._path.append(_YawRecord(self._stamp, measured, self._shift))
 
     def _change_disturbance(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""

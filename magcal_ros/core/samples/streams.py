@@ -195,8 +195,6 @@ class Streams:
 
         By the trapezoidal rule; rotations are multiplied, and may be large.
         """
-        if start.stamp == end.stamp:
-            return ImuSpan((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0)
         samples = [end]
         for sample in reversed(self._imu):
             if sample.stamp <= start.stamp:
