@@ -236,8 +236,9 @@ class UpFilter:
         about up, rad/s. Roll and pitch rates are left out: they are shaking, in phase with that of
         the accelerometer.
         """
-        turning = skew(rate * unit(self.up))
-        reads = np.hstack([IDENTITY, np.zeros((3, 3)), turning, IDENTITY])
+        reads = np.eye(3, 12)
+        reads[:, 6:9] = skew(self.up * (rate / length(self.up.tolist())))
+        reads[:, 9:] = IDENTITY
         left = innovation - reads[:, 6:] @ self.state[6:]
         self._correct(reads, variance + FILTER.floor**2, left)
 
