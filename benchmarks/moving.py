@@ -22,7 +22,6 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.geometry.vec3 import unit_triple
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
@@ -104,7 +103,7 @@ class Walk:
         if self.way != "accelerometer":
             return self._follower.at(stamp, STREAMS.max_gap)
         imu = self._streams.imu_at(stamp)
-        return None if imu is None else Up(unit_triple(imu.force), self._noise_up**2)
+        return None if imu is None else Up(imu.force, self._noise_up**2)
 
 
 def starts_and_stops(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:

@@ -225,7 +225,7 @@ def _published(
             still, reference = follower.is_at_rest, calibration.motors.reference
             motor_state = sense.at(stamp, turn, still, math.nan, current, reference)
         field, motors = compass.at_rest(stamp, raw, turn, motor_state)
-        heading = compass.heading(field, upwards, calibration.noise_up**2, motors)
+        heading = compass.heading(field, upwards, motors=motors)
         fields.append(field)
         sigmas.append(math.nan if heading is None else math.sqrt(heading.yaw_variance))
     return np.array(fields).reshape(-1, 3), np.array(sigmas)

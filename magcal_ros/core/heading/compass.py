@@ -16,7 +16,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, MotorField, Motor
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus, scaled
+from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
@@ -111,6 +111,7 @@ class Compass:
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
         self._local = local**2 * np.asarray(a @ a.T)
+        self._tilt_variance = calibration.noise_up**2
         self.use_motors(calibration.motors)
 
     def use_motors(self, motors: MotorField | None) -> None:
@@ -155,35 +156,45 @@ class Compass:
     def heading(
         self,
         field: Triple,
-        up: Triple,
-        tilt_variance: float,
+        force: Triple,
+        tilt_variance: float | None = None,
         motors: MotorCovariance | None = None,
     ) -> Heading | None:
-        """Return the attitude for a corrected field and up; None if the level field is too small.
+        """Return the attitude for a corrected field and a specific force in body axes.
 
-        `field` is in tesla, `up` a unit vector with the variance `tilt_variance` in either
-        direction, rad²; both in body axes. `motors` are the errors of the motors' field that was
-        subtracted.
+        None if gravity or the level part of the field is too small for a direction.
+
+        `field` is in tesla, `force` in m/s², or up as a unit vector. `tilt_variance` is the
+        variance of up in either direction, rad², by default that of a single accelerometer reading.
+        `motors` are the errors of the motors' field that was subtracted.
 
         In magnetic ENU axes let body x be (xe, xn, xu) and the field (0, mn, mu). A small error of
         the up vector, a rotation (pe, pn) about east and north, causes a yaw error
         pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn².
         The roll error is (pe cos yaw + pn sin yaw) / l, the pitch error pn cos yaw - pe sin yaw.
         """
-        ux, uy, uz = up
-        east = cross(field, up)
-        level = length(east)
-        if level <= 0.0 or level < SMALLEST_LEVEL_SHARE * length(field):
+        fx, fy, fz = force
+        mx, my, mz = field
+        gravity = math.sqrt(fx * fx + fy * fy + fz * fz)
+        size = math.sqrt(mx * mx + my * my + mz * mz)
+        if gravity < 0.1 or size <= 0.0:
             return None
-        ex, ey, ez = scaled(east, 1.0 / level)
+        ux, uy, uz = fx / gravity, fy / gravity, fz / gravity
+        ex, ey, ez = my * uz - mz * uy, mz * ux - mx * uz, mx * uy - my * ux
+        level = math.sqrt(ex * ex + ey * ey + ez * ez)
+        if level < SMALLEST_LEVEL_SHARE * size:
+            return None
+        ex, ey, ez = ex / level, ey / level, ez / level
         nx = uy * ez - uz * ey
         yaw = math.atan2(nx, ex)
         roll, pitch = math.atan2(uy, uz), math.atan2(-ux, math.hypot(uy, uz))
         forward = max(1.0 - ux * ux, SMALLEST_FORWARD)
+        rise = mx * ux + my * uy + mz * uz
         by_east = -ex * ux / forward
-        by_north = dot(field, up) / level - nx * ux / forward
-        variance = tilt_variance * (by_east * by_east + by_north * by_north)
-        g, q = np.array((ex / level, ey / level, ez / level)), np.array((*field, -1.0))
+        by_north = rise / level - nx * ux / forward
+        tilt = self._tilt_variance if tilt_variance is None else tilt_variance
+        variance = tilt * (by_east * by_east + by_north * by_north)
+        g, q = np.array((ex / level, ey / level, ez / level)), np.array((mx, my, mz, -1.0))
         errors = (g[:, None] * q).ravel() @ self._errors
         new, passing = self._noise, self._local
         if motors is not None:
@@ -192,7 +203,7 @@ class Compass:
         lasting = float(errors @ errors)
         variance += lasting + noise + other
         own = variance, by_east, by_north, noise, lasting, (*errors.tolist(), 0.0)
-        return Heading(roll, pitch, yaw, tilt_variance, *own)
+        return Heading(roll, pitch, yaw, tilt, *own)
 
 
 def level_field_covariance(calibration: Calibration) -> FloatArray:
