@@ -16,7 +16,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, NavSatFix
 
 from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
-from magcal_ros.core.driving.driving_tuning import SpeedSource
+from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
@@ -25,7 +25,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
 from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.battery import SILENT, Messages
+from magcal_ros.core.samples.battery import SILENT, Messages, usable_current
 from magcal_ros.core.samples.streams import FieldSample, SpeedSample, VelocitySample
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.self_calibration.motor_learning import MotorLearning
@@ -247,7 +247,8 @@ class CommandTopic:
     def _on_command(self, message: Twist | TwistStamped) -> None:
         # The time of a command is that of its arrival, on the clock of the sensors.
         twist = message.twist if isinstance(message, TwistStamped) else message
-        self._speed, self._received = float(twist.linear.x), self._up.newest_stamp
+        speed, self._received = float(twist.linear.x), self._up.newest_stamp
+        self._speed = speed if abs(speed) <= SPEED.largest else math.nan
 
 
 class Motors:
@@ -371,4 +372,4 @@ class Motors:
         stamp = seconds(message.header.stamp)
         newest = self._up.newest_stamp
         self._received = stamp if abs(stamp - newest) < SILENT else newest
-        self._current = float(message.current)
+        self._current = usable_current(float(message.current))

@@ -228,3 +228,17 @@ def test_the_node_does_not_count_as_a_subscriber_of_its_commands(graph, with_mot
     # Two seconds after its start a turn that nobody hears ends, and the node listens again.
     actor.run(1.0)
     assert out.get_subscription_count() == 0
+
+
+@pytest.mark.parametrize("size", [math.inf, np.finfo(np.float32).max])
+def test_a_current_or_command_that_no_robot_has_counts_as_missing(start_node, size):
+    """Some drivers send the largest number for an unknown one: the heading would become NaN."""
+    node = start_node()
+    motors = node._pipeline.motors
+    motors._on_battery(BatteryState(current=float(size)))
+    command = Twist()
+    command.linear.x = -float(size)
+    motors.commands._on_command(command)
+    assert not motors.currents
+    assert math.isnan(motors.motor_state(motors._up.newest_stamp, None).current)
+    assert not motors.commands.is_received

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -9,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
+from magcal_ros.core.samples.samples_tuning import STREAMS
 
 Messages: TypeAlias = Sequence[tuple[float, float]]
 """Stamps, seconds, and currents, amperes."""
@@ -40,12 +42,18 @@ class Battery:
         return float(np.abs(self.current).max())
 
 
+def usable_current(current: float) -> float:
+    """Return a current, amperes; NaN if no battery has it, such as a driver's largest number."""
+    return current if abs(current) <= STREAMS.largest_current else math.nan
+
+
 def battery_of(messages: Messages, begin: float, end: float) -> Battery | None:
     """Return the current between two moments, from messages.
 
     None if it was not measured throughout, or if it is constant: some drivers publish a constant.
     """
-    known = {stamp: current for stamp, current in messages if np.isfinite([stamp, current]).all()}
+    known = {stamp: usable_current(current) for stamp, current in messages}
+    known = {each: current for each, current in known.items() if math.isfinite(each + current)}
     rows = np.array(sorted(known.items())).reshape(-1, 2)
     rows = rows[(rows[:, 0] > begin - SILENT) & (rows[:, 0] < end + SILENT)]
     gaps = np.diff(np.concatenate([[begin], rows[:, 0], [end]]))

@@ -27,6 +27,8 @@ class StreamTuning:
     largest_force: float = 1e5
     """m/s². No accelerometer reads more, milli-g published as m/s² included."""
     largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
+    largest_current: float = 1e6
+    """A. No robot draws more, milliamperes published as amperes included."""
 
 
 @dataclass(frozen=True)
