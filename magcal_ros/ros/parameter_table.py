@@ -28,6 +28,8 @@ LONGEST_TEXT = 4096
 MOST_SHOWN = 20  # items of a refused list that are shown
 TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
 """Choices of a north; `true` alone would be a boolean in YAML."""
+OFF = Mode.OFF.value
+"""A choice that ROS reads as the boolean false unless it is quoted."""
 UNSET = math.nan  # an unknown number, written as .nan in YAML or left out
 
 
@@ -90,6 +92,8 @@ class ParameterSpec:
         return type(default)(self._parse_number(value))
 
     def _parse_text(self, value: Any) -> str:
+        if value is False and OFF in self.choices:
+            return OFF
         if not isinstance(value, str):
             self._refuse("a text", value)
         if self.choices and value not in self.choices:

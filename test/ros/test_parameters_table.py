@@ -197,6 +197,12 @@ class TestTexts:
             assert spec.parse("no_such_choice") == "no_such_choice"
 
 
+def test_off_is_accepted_as_ros_reads_it():
+    """`-p self_calibration:=off` and `self_calibration: off` in a file arrive as a boolean."""
+    spec = next(each for each in PARAMETERS if each.name == "self_calibration")
+    assert spec.parse(False) == "off"
+
+
 def test_a_spec_without_a_range_takes_any_number():
     assert ParameterSpec("x", 0.0).parse(-1e300) == -1e300
 
