@@ -79,8 +79,9 @@ def _rotated(correction: Correction, covariance: bytes) -> tuple[float, ...]:
     sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
     with np.errstate(over="ignore", invalid="ignore"):
         rotated = correction.covariance(sigma)
-    # By convention, zeros mean an unknown covariance.
-    return tuple(rotated.ravel().tolist()) if np.isfinite(rotated).all() else (0.0,) * 9
+    # By convention, zeros mean an unknown covariance; some drivers send -1 for it.
+    is_known = np.isfinite(rotated).all() and (np.diag(sigma) >= 0.0).all()
+    return tuple(rotated.ravel().tolist()) if is_known else (0.0,) * 9
 
 
 class AttitudeOutput:

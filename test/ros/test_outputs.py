@@ -126,6 +126,13 @@ def test_a_covariance_of_the_field_is_rotated_into_body_axes(loaded, listen):
     a = np.array(bias[-1].magnetic_field_covariance).reshape(3, 3)
     carried = np.array(received[-1].magnetic_field_covariance).reshape(3, 3)
     assert np.allclose(carried, a @ sigma @ a.T, rtol=1e-9)
+    # As sensor_msgs/Imu marks what is absent; for a field, zeros mean that nothing is known.
+    actor.source._field.magnetic_field_covariance = np.array([-1.0, *8 * [0.0]])
+    actor.run(
+        PATIENCE,
+        stop=lambda: not np.allclose(received[-1].magnetic_field_covariance, carried.ravel()),
+    )
+    assert not np.any(received[-1].magnetic_field_covariance)
 
 
 def test_the_bias_is_latched_for_late_joiners_and_repeated(loaded, listen):
