@@ -23,7 +23,6 @@ from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import identifier
-from magcal_ros.files.disk import printable
 from magcal_ros.files.wire import IMU_TYPE, FieldArrival
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.calibration_store import CalibrationStore
@@ -32,6 +31,7 @@ from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import BackgroundThread, SensorGroup
 from magcal_ros.ros.vehicle import Motors, Travel
+from magcal_ros.ros.wire import published_instead
 
 SILENT_AFTER = 2.0  # seconds without a message after which a sensor counts as silent
 
@@ -92,11 +92,9 @@ class Sensor:
         """Return what is wrong with the topic and what to check; empty if nothing is."""
         if self.last_received is None:
             why = "check that the driver runs and the topic is remapped to it"
-            if self.published and self.kind not in self.published:
-                others = " and ".join(sorted(map(printable, set(self.published))))
-                why = (
-                    f"{others} is published there, not {self.kind}; remap it to the sensor's topic"
-                )
+            instead = published_instead(self.kind, self.published)
+            if instead:
+                why = f"{instead}; remap it to the sensor's topic"
             return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:

@@ -28,7 +28,7 @@ from magcal_ros.ros.parameters import Parameters, given_names
 from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SensorGroup, Spinner
-from magcal_ros.ros.wire import Unreadable, read_imu
+from magcal_ros.ros.wire import Unreadable, read_imu, unreadable_topics
 
 NAME = "calibrator"
 TICK = 0.1  # seconds between checks of a turn under way; without a turn this timer is stopped
@@ -229,6 +229,9 @@ class Calibrator(Node):
             *self._pipeline.headings.complaints(self._reference.field),
         ]
         others = self._magnetometers.complaints() + self._pipeline.complaints
+        # In the log alone: an optional topic may have the name of something else on this robot.
+        sensors = self._inputs.imu.topic, self._inputs.field.topic
+        others += unreadable_topics(self, sensors)
         self._announcer.complain(dict.fromkeys(complaints + others))
         now = self.get_clock().now().to_msg()
         for each in self._magnetometers.active:

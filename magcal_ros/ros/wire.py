@@ -12,13 +12,14 @@ import contextlib
 import importlib
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from struct import Struct
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
@@ -27,6 +28,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.files.disk import printable
 from magcal_ros.files.wire import ABSENT, CDR, CDR_START, STAMP, STAMP_PLACE, is_plain_cdr
 
 T = TypeVar("T")
@@ -84,6 +86,34 @@ def optional_type(package: str, name: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except ImportError:
         return None
+
+
+def published_instead(kind: str, published: Collection[str]) -> str:
+    """Return the message types on a topic in words if `kind` is not among them, else nothing."""
+    if not published or kind in published:
+        return ""
+    others = " and ".join(sorted(map(printable, set(published))))
+    return f"{others} is published there, not {kind}"
+
+
+def unreadable_topics(node: Node, handled: Collection[str]) -> list[str]:
+    """Return in words the topics of which nothing arrives because all messages have another type.
+
+    The topics that are `handled` elsewhere are left out.
+    """
+    found = []
+    for each in node.subscriptions:
+        topic, kind = each.topic_name, cast("type", each.msg_type)
+        if topic in handled:
+            continue
+        published = [info.topic_type for info in node.get_publishers_info_by_topic(topic)]
+        package = kind.__module__.partition(".")[0]
+        words = published_instead(f"{package}/msg/{kind.__name__}", published)
+        if words:
+            found.append(
+                f"nothing can arrive on {topic}: {words}; remap it to a topic of this type"
+            )
+    return found
 
 
 DOUBLE = 8

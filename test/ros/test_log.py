@@ -4,7 +4,10 @@ import time
 from functools import partial
 
 import pytest
+import rclpy
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from rcl_interfaces.msg import Log
+from rclpy.context import Context
 from sensor_msgs.msg import NavSatFix
 from support import PATIENCE, REFERENCE
 
@@ -50,6 +53,27 @@ def test_missing_sensors_give_a_warning_and_a_turn_is_logged(
     assert begins < over
     assert "cancelled" in reported[over]
     assert len(received) < 12
+
+
+def test_an_optional_topic_of_another_type_is_named(start_node, actor, received, monkeypatch):
+    """For example the velocity of u-blox's driver, which comes with a covariance."""
+    monkeypatch.setattr(node, "Announcer", partial(Announcer, lasting=0.5))
+    start_node(REFERENCE)
+    robot = actor()
+    listen(robot.node, received)
+    # DDS refuses a second type of a topic in the same participant.
+    context = Context()
+    context.init()
+    try:
+        driver = rclpy.create_node("driver", context=context)
+        driver.create_publisher(TwistWithCovarianceStamped, "gps/vel", 10)
+        driver.create_publisher(NavSatFix, "gps/fix", 10)
+        robot.run(PATIENCE, stop=lambda: any("can arrive" in words for _, words in received))
+    finally:
+        context.shutdown()
+    (named,) = (words for _, words in received if "can arrive" in words)
+    wrong = "geometry_msgs/msg/TwistWithCovarianceStamped is published there"
+    assert named.startswith(f"nothing can arrive on /gps/vel: {wrong}, not geometry_msgs/msg/Twist")
 
 
 @pytest.mark.nightly
