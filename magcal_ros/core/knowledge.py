@@ -134,15 +134,18 @@ class Mounting:
     pitch; only turns at different tilts determine the yaw."""
     forward: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
     """Unit vector along the front of the vehicle in the IMU's axes. Shape (3,)."""
+    upward: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    """Unit vector to the top of the vehicle in the IMU's axes. Shape (3,)."""
 
     def __post_init__(self) -> None:
-        freeze(self, gains=(3,), pose=(3, 3), forward=(3,))
+        freeze(self, gains=(3,), pose=(3, 3), forward=(3,), upward=(3,))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
         if not np.allclose(self.pose @ self.pose.T, np.eye(3), atol=1e-3):
             raise ValueError("the rows of a mounting's pose must be orthonormal")
-        if not abs(float(np.linalg.norm(self.forward)) - 1.0) < 1e-3:
-            raise ValueError("the front of a vehicle is a unit vector")
+        for name, vector in (("front", self.forward), ("top", self.upward)):
+            if not abs(float(np.linalg.norm(vector)) - 1.0) < 1e-3:
+                raise ValueError(f"the {name} of a vehicle is a unit vector")
         if not 0.0 < self.yaw_sigma < math.inf:
             raise ValueError("the sigma of the mounting's yaw must be positive and finite")
 

@@ -157,14 +157,14 @@ class SensorFrames:
     def mounting(self, number: int = 1, frame: str = "") -> Mounting:
         """Return the given or described mounting of a magnetometer in the IMU frame."""
         self._follow_parameters()
-        settings, forward = self._settings(), self._forward
+        settings, front, top = self._settings(), self._forward, self._upward
         if number == 1:
             pose, mounting = self._poses.magnetometer, settings.knowledge.mounting
-            return replace(mounting, pose=pose, forward=forward)
+            return replace(mounting, pose=pose, forward=front, upward=top)
         frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
         pose = sensor_poses(frames, self._description.tree, given).magnetometer
         # The given gains are of the first magnetometer only.
-        return Mounting(pose=pose, forward=forward)
+        return Mounting(pose=pose, forward=front, upward=top)
 
     def follow(
         self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None
@@ -203,6 +203,11 @@ class SensorFrames:
         if settings.base_frame or settings.vehicle_yaw is None:
             return (self._view or BaseHeading(np.eye(3))).pose[0]
         return rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
+
+    @property
+    def _upward(self) -> FloatArray:
+        """The described top of the vehicle, IMU axes; by default z. Shape (3,)."""
+        return (self._view or BaseHeading(np.eye(3))).pose[2]
 
     @property
     def _frames(self) -> Frames:

@@ -1,5 +1,6 @@
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,6 +138,22 @@ def test_all_methods_agree_on_when_gravity_is_absent(case):
     for method in METHODS:
         words = calibrate(weak, ROBOT.knowledge(), method).verdict.summary
         assert ("shows no gravity" in words) == absent, method
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_an_imu_upside_down_calibrates_where_the_description_says_so(described):
+    window = window_of()
+    turned = rotation_from_rpy(math.pi, 0.0, 0.5)  # the axes of the IMU to those of the robot
+    upward = turned[2] if described else np.array([0.0, 0.0, 1.0])
+    mounting = Mounting(pose=turned.T, upward=upward)
+    force, rate = window.specific_force @ turned, window.angular_rate @ turned
+    window = replace(window, specific_force=force, angular_rate=rate)
+    outcome = calibrate(window, replace(ROBOT.knowledge(), mounting=mounting))
+    assert outcome.verdict.accepted == described
+    found = outcome.calibration.correction
+    in_robot = replace(found, matrix=turned @ found.matrix)
+    errors = heading_errors(in_robot, ROBOT)
+    assert math.degrees(np.sqrt(np.mean(errors[:, LEVEL_TILT] ** 2))) < 0.5
 
 
 @pytest.mark.parametrize(("z", "reported"), [(-9.81, True), (9.81, False)])

@@ -104,6 +104,14 @@ def test_half_a_pose_is_refused(start_node, text):
     assert "mount_rpy_deg must be" in result.reason
 
 
+def test_the_fit_uses_the_described_top_of_the_vehicle(start_node, actor):
+    node = start_node(DESCRIBED)
+    robot = actor()
+    describe(robot, "0 0 0", ORIGIN)
+    robot.run(PATIENCE, stop=lambda: node._frames.mounting().upward[2] < 0.0)
+    assert node._frames.mounting().upward == pytest.approx([0.0, 0.0, -1.0], abs=1e-9)
+
+
 @pytest.mark.parametrize("base", ["", "base_link"])
 def test_the_fit_uses_the_front_of_the_vehicle(start_node, actor, base):
     """The IMU's x points to the left: ahead is its negative y axis."""

@@ -39,7 +39,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, angle_between
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import (
     ROLLED,
@@ -197,16 +197,17 @@ LEVEL_ONLY = (
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
     """Return the verdict on an estimate; `window` contains its samples, if any."""
+    upward = knowledge.mounting.upward
     figures = {
         Figure.ARC: estimate.arc,
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
-        Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
+        Figure.AXIS_LEAN: angle_between(estimate.axis, upward),
     }
     figures |= every_figure(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
-            figures[Figure.AXIS_LEAN] = usual_lean(window)
+            figures[Figure.AXIS_LEAN] = usual_lean(window, upward)
         elif estimate.arc * DEGREES > FULL_ARC_DEG:
             # Only a full turn separates a steady sideways acceleration from a slope. A fit with
             # the gyro has estimated this acceleration, and the gyro's bias and axes.
@@ -216,7 +217,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if window is not None and was_turned_over(window):
         del figures[Figure.AXIS_LEAN]
     bounds = bounds_of(estimate)
-    stands = window is not None and usual_lean(window) * DEGREES <= UPRIGHT.good
+    stands = window is not None and usual_lean(window, upward) * DEGREES <= UPRIGHT.good
     context = estimate, figures, knowledge, ROLLED if stands else Z_NOT_UP
     checks = [_check(bound, *context) for bound in bounds if bound.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)

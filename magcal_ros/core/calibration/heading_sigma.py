@@ -11,6 +11,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import (
+    angle_between,
     field_in_enu,
     mean_angle,
     unit,
@@ -183,7 +184,9 @@ def axis_share(window: Window) -> float:
     return float(squares[0] / squares.sum())
 
 
-def usual_lean(window: Window) -> float:
-    """Return the angle between the median specific force and the body's z, radians."""
-    usual = unit(np.median(window.specific_force, axis=0))
-    return math.acos(min(max(float(usual[2]), -1.0), 1.0))
+def usual_lean(window: Window, upward: FloatArray) -> float:
+    """Return the angle between the median specific force and the top of the vehicle, radians.
+
+    `upward` (3,) is a unit vector to the top, body axes.
+    """
+    return angle_between(np.median(window.specific_force, axis=0), upward)
