@@ -37,6 +37,9 @@ TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
     TWIST_TYPE: Format.velocity,
     TWIST_COVARIANCE_TYPE: Format.velocity_with_covariance,
 }
+USED_OF_SEVERAL = {ODOM_TYPE: "odom", FIX_TYPE: "fix"}
+"""Last part of the topic that is used of several with one type, the node's name for it. Filters
+publish these types, too, and a navsat_transform publishes zeros as the speed."""
 RECEIVER_TOPICS = ("vel", "fix_velocity")
 """Last part of the topics with a receiver's velocity over ground in ENU. Other twists are commands
 or in body axes. A bag without fixes has no receiver."""
@@ -64,7 +67,6 @@ class Bag:
     """
 
     imu_frame = field_frame = ""
-    notes: tuple[str, ...] = ()
     yaw = np.empty((0, 2))
     """Empty: only logs have the yaws of an autopilot."""
 
@@ -86,6 +88,7 @@ class Bag:
         share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
         self.count = round(share * sum(c.msgcount for c in (*self._imu, *self._field)))
         """Approximate number of messages of both sensors in the span."""
+        self.notes = tuple(filter(None, map(self._choice, USED_OF_SEVERAL)))
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both topics in the order in which they were recorded."""
@@ -118,8 +121,9 @@ class Bag:
 
     @cached_property
     def _journey(self) -> tuple[tuple[TravelSample, ...], Place | None]:
-        chosen = self._of(FIX_TYPE, ODOM_TYPE)
-        if self._of(FIX_TYPE):
+        fixes = self._one_of(FIX_TYPE)
+        chosen = [*fixes, *self._one_of(ODOM_TYPE)]
+        if fixes:
             twists = self._of(TWIST_TYPE, TWIST_COVARIANCE_TYPE)
             chosen += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
 
@@ -165,6 +169,22 @@ class Bag:
     def _of(self, *kinds: str) -> list[Connection]:
         """Return the connections of some types that hold messages."""
         return [c for c in self._reader.connections if c.msgtype in kinds and c.msgcount]
+
+    def _one_of(self, kind: str) -> list[Connection]:
+        """Return the connections of the topic that is used of a type; empty without any."""
+        found = self._of(kind)
+        last = USED_OF_SEVERAL[kind]
+        named = [c for c in found if c.topic.rpartition("/")[2] == last] or found
+        used = min((c.topic for c in named), default="")
+        return [c for c in found if c.topic == used]
+
+    def _choice(self, kind: str) -> str:
+        """Say which of several topics of a type is used; empty if there are not several."""
+        topics = sorted({printable(c.topic) for c in self._of(kind)})
+        if len(topics) < 2:
+            return ""
+        used = printable(self._one_of(kind)[0].topic)
+        return f"{', '.join(topics)} are all {kind.replace('/msg/', '/')}: only {used} is used"
 
     def _read(
         self, chosen: list[Connection], take: Callable[[Connection, int, bytes], T]

@@ -51,6 +51,18 @@ def test_fixes_and_speeds_come_by_their_stamps(tmp_path):
     assert found[2].north == pytest.approx(100.0, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("one", "other"), [("/wheels/odom", "/odometry/gps"), ("/kf/filtered", "/odometry/gps")]
+)
+def test_of_several_odometries_one_is_used(tmp_path, one, other):
+    """The speeds of two sources do not alternate: that of a navsat_transform is always zero."""
+    extra = [(one, odometry(1000.5, -2.0)), (other, odometry(1000.6, 0.0))]
+    with open_recording(write_bag(tmp_path / "bag", [*drive(90.0), *extra])) as source:
+        assert [round(sample.speed, 1) for sample in source.travel] == [-2.0]
+        (note,) = source.notes
+    assert note.endswith(f" are all nav_msgs/Odometry: only {one} is used")
+
+
 def velocity(stamp, east, north, sure, frame="gps"):
     vector = TYPES["geometry_msgs/msg/Vector3"]
     twist = TYPES["geometry_msgs/msg/Twist"](vector(east, north, 0.0), vector(0.0, 0.0, 0.0))
