@@ -224,6 +224,7 @@ class HeadingPipeline:
         self.compasses = SeveralCompasses()
         self.leading: Calibration | None = None  # of the calibrated magnetometer of lowest number
         self._origin: Origin | None = None
+        self._stores: Mapping[int, CalibrationStore] = {}
 
     @property
     def settings(self) -> Settings:
@@ -232,6 +233,7 @@ class HeadingPipeline:
 
     def use(self, stores: Mapping[int, CalibrationStore]) -> None:
         """Use the calibrations in force; the keys are the numbers of the magnetometers."""
+        self._stores = stores
         for number, store in stores.items():
             self.compasses.put_in_force(number, store.calibration)
         in_force = [number for number, store in stores.items() if store.calibration is not None]
@@ -285,16 +287,25 @@ class HeadingPipeline:
 
     @property
     def complaints(self) -> list[str]:
-        """Why the calibration in force may not fit the IMU, in words."""
+        """Why the calibrations in force may not fit the sensors, in words."""
+        found = [
+            self.frames.doubt(number, store.origin.magnetometer_frame, store.calibration)
+            for number, store in self._stores.items()
+            if store.calibration is not None and store.origin is not None
+        ]
+        return [each for each in [*found, self._against_imu()] if each]
+
+    def _against_imu(self) -> str:
+        """Say that the calibration in force is of an IMU with another frame; else empty."""
         made_for = self._origin.imu_frame if self._origin else ""
         there = identifier(self.imu.frame)
         if not made_for or not there or made_for == there:
-            return []
-        return [
+            return ""
+        return (
             f"the calibration in force gives the field in the axes of {made_for!r}, but the IMU's "
             f"frame is {there!r}: calibrate again or, if the axes are the same, correct "
             "frames.field_body in the file of the calibration"
-        ]
+        )
 
     def current_settings(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters for a turn of one magnetometer.

@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import (
@@ -25,7 +26,11 @@ from magcal_ros.core.geometry.frame_tree import (
     pose_in_words,
     sensor_poses,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rotation_from_rpy
+from magcal_ros.core.geometry.rotations import (
+    rotation_angle,
+    rotation_from_quaternion,
+    rotation_from_rpy,
+)
 from magcal_ros.core.heading.base_heading import BaseHeading, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up.follower import UpFollower
@@ -161,10 +166,36 @@ class SensorFrames:
         if number == 1:
             pose, mounting = self._poses.magnetometer, settings.knowledge.mounting
             return replace(mounting, pose=pose, forward=front, upward=top)
-        frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
-        pose = sensor_poses(frames, self._description.tree, given).magnetometer
         # The given gains are of the first magnetometer only.
+        pose = self._poses_of(number, frame).magnetometer
         return Mounting(pose=pose, forward=front, upward=top)
+
+    def doubt(self, number: int, frame: str, calibration: Calibration) -> str:
+        """Return in words that a calibration contradicts the pose of its magnetometer.
+
+        Empty if it does not, or if the pose is neither given nor described. A calibration from
+        before a pose was corrected keeps the old one.
+        """
+        self._follow_parameters()
+        poses = self._poses if number == 1 else self._poses_of(number, frame)
+        if not (poses.is_described or number in self._settings().mounts):
+            return ""
+        left, _, right = np.linalg.svd(calibration.correction.matrix)
+        angle = rotation_angle(poses.magnetometer.T @ left @ right)
+        if angle <= DOUBTED_ANGLE:
+            return ""
+        return (
+            f"in the calibration in force the magnetometer {identifier(frame)!r} is turned by "
+            f"{np.degrees(angle):.0f}° against the given or described pose "
+            f"({pose_in_words(poses.magnetometer)}): if this pose is right, calibrate again"
+        )
+
+    def _poses_of(self, number: int, frame: str) -> SensorPoses:
+        frames, given = (
+            replace(self._frames, magnetometer=frame),
+            self._settings().mounts.get(number),
+        )
+        return sensor_poses(frames, self._description.tree, given)
 
     def follow(
         self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None
