@@ -35,11 +35,12 @@ from magcal_ros.core.calibration.heading_sigma import (
     axis_share,
     calibration_sigma,
     every_figure,
+    lean,
     sideways_acceleration,
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, angle_between
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import (
     ROLLED,
@@ -201,7 +202,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     figures = {
         Figure.ARC: estimate.arc,
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
-        Figure.AXIS_LEAN: angle_between(estimate.axis, upward),
+        Figure.AXIS_LEAN: lean(estimate.axis, upward),
     }
     figures |= every_figure(estimate)
     has_gyro = window is not None and window.angular_rate is not None

@@ -184,9 +184,15 @@ def axis_share(window: Window) -> float:
     return float(squares[0] / squares.sum())
 
 
-def usual_lean(window: Window, upward: FloatArray) -> float:
-    """Return the angle between the median specific force and the top of the vehicle, radians.
+def lean(up: FloatArray, upward: FloatArray) -> float:
+    """Return the angle of up to the body's z or to the top of the vehicle, radians, the smaller.
 
-    `upward` (3,) is a unit vector to the top, body axes.
+    `upward` (3,) points to the described top, body axes. A wrong description does no harm to a
+    calibration of an IMU whose z points up.
     """
-    return angle_between(np.median(window.specific_force, axis=0), upward)
+    return min(angle_between(up, each) for each in (np.array([0.0, 0.0, 1.0]), upward))
+
+
+def usual_lean(window: Window, upward: FloatArray) -> float:
+    """Return the `lean` of the median specific force, radians."""
+    return lean(np.median(window.specific_force, axis=0), upward)
