@@ -197,7 +197,7 @@ def _tell(options: argparse.Namespace, report: SensorReport, gains: FloatArray) 
             f"{shlex.quote(written)}` (after `--ros-args`), and calibrate again."
         )
     elif options.write is not None:
-        words += "\n\nNo file is written: the faults cannot be corrected by parameters alone."
+        words += "\n\nNo file is written: no fault was found that a parameter corrects."
     tell_result(report_as_facts(report, written, status), words, as_json=options.json)
     return status
 

@@ -37,8 +37,11 @@ def record(folder, axes, scale=1.0, every=2):
 
 
 def test_good_sensors_have_no_fault(tmp_path, capsys):
-    assert main(["doctor", *record(tmp_path / "bag", np.eye(3))]) == 0
+    file = tmp_path / "params.yaml"
+    assert main(["doctor", *record(tmp_path / "bag", np.eye(3)), "--write", str(file)]) == 0
     printed = capsys.readouterr().out
+    assert "No file is written: no fault was found that a parameter corrects." in printed
+    assert not file.exists()
     assert "x forward, y left, z up" in printed
     assert "wrong" not in printed
     assert "What to do" not in printed
