@@ -292,7 +292,10 @@ class FusedOutput:
         elif self._follower.is_propagated:
             longest = STREAMS.longest_gyro_step
             why = f" yet: no field has come with a stamp within {longest:g} s of the IMU's"
-            why = why if self.yaw.heading() is None else ""
+            if self._frames.view is None:
+                why = ": the pose of the IMU in base_frame is not known"
+            elif self.yaw.heading() is not None:
+                why = ""
         elif self._follower.gyro_is_whole:
             why = ": the IMU has no gyro"
         else:

@@ -35,12 +35,12 @@ def describe(actor, magnetometer=ORIGIN, imu="0 0 1.5707963267948966"):
     return out
 
 
-def complaints(actor, words):
-    """Wait until the node's diagnostics say something; returns what `Inputs` says last."""
+def complaints(actor, words, part="Inputs"):
+    """Wait until the node's diagnostics say something; returns what `part` says last."""
     stated = [""]
 
     def hear(message):
-        stated.extend(status.message for status in message.status if "Inputs" in status.name)
+        stated.extend(status.message for status in message.status if part in status.name)
 
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
     actor.run(PATIENCE, stop=lambda: words in stated[-1])
@@ -65,6 +65,8 @@ def test_a_base_without_a_description_has_no_attitude_and_is_reported(loaded):
     actor = loaded(ROBOT, DESCRIBED)
     assert "pose of 'imu_link' in 'base_link' is unknown" in complaints(actor, "is unknown")
     assert not actor.yaws
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", lambda _: None, 10)
+    assert "nothing on compass/fused/enu/imu" in complaints(actor, "in base_frame", "Fused")
     out = describe(actor, "0 0 0", "0 0 0")
     actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws
