@@ -101,6 +101,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_use(options: argparse.Namespace) -> None:
     recorded.check_heading_options(options)
+    if options.compare and options.json:
+        raise UsageError("--compare prints a table without JSON: leave out --compare or --json")
     if len(options.recordings) == 1:
         return
     if options.compare:

@@ -174,6 +174,7 @@ class TestExits:
             ["--soft-iron-gains", "1", "1"],
             ["--from", "-1"],
             ["--from", "9", "--to", "3"],
+            ["--compare", "--json"],
         ],
     )
     def test_wrong_options_are_2(self, fit, bag, arguments):
