@@ -35,7 +35,7 @@ class SelfCalibrationRunner:
         self._magnetometer, self._pipeline = magnetometer, magnetometer.pipeline
         node = self._pipeline.node
         self._say = node.get_logger().info
-        self.machine = SelfCalibration()
+        self.machine = SelfCalibration(self._pipeline.settings.self_calibration)
         self._pairer = Pairer(magnetometer.inputs.streams, counts=False)
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
