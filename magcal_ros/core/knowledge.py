@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
+from magcal_ros.core.geometry.attitude import angle_between
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
@@ -158,6 +159,13 @@ class Mounting:
     def to_body(self) -> FloatArray:
         """From sensor to nominal body axes, gains removed; the inverse of `matrix`, (3, 3)."""
         return np.asarray(self.pose / self.gains)
+
+    def lean(self, up: FloatArray) -> float:
+        """Return the angle of up (3,) to the body's z or the vehicle's top, the smaller, radians.
+
+        A wrong description of the top does no harm where the IMU's z points up.
+        """
+        return min(angle_between(up, each) for each in (np.array([0.0, 0.0, 1.0]), self.upward))
 
 
 @dataclass(frozen=True)

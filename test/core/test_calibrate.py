@@ -20,9 +20,8 @@ from magcal_ros.core import (
     calibrate,
 )
 from magcal_ros.core.calibrate import find_method
-from magcal_ros.core.doctor import compare_axes
+from magcal_ros.core.doctor import compare_axes, examine_window, with_explanation
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.core.samples import with_explanation
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()
@@ -148,8 +147,15 @@ def test_an_imu_upside_down_calibrates_where_the_description_says_so(described):
     mounting = Mounting(pose=turned.T, upward=upward)
     force, rate = window.specific_force @ turned, window.angular_rate @ turned
     window = replace(window, specific_force=force, angular_rate=rate)
-    outcome = calibrate(window, replace(ROBOT.knowledge(), mounting=mounting))
+    knowledge = replace(ROBOT.knowledge(), mounting=mounting)
+    outcome = calibrate(window, knowledge)
     assert outcome.verdict.accepted == described
+    named = [each for each in examine_window(window, knowledge).findings if each.is_wrong]
+    assert any("upside" in each.remedy or "z points down" in each.remedy for each in named) != (
+        described
+    )
+    refusal = Refusal(Reason.FIELD_TOO_STEEP, "steep")
+    assert (with_explanation(refusal, window, mounting) is refusal) == described
     found = outcome.calibration.correction
     in_robot = replace(found, matrix=turned @ found.matrix)
     errors = heading_errors(in_robot, ROBOT)

@@ -12,7 +12,8 @@ from simulated.turns import Motion, measure
 
 from magcal_ros.core import Knowledge, Reason, Refusal, calibrate
 from magcal_ros.core.assessment import LEVEL_ONLY, WHICH_WAY_UP
-from magcal_ros.core.samples import gravity_size, was_turned_over, with_explanation
+from magcal_ros.core.doctor import with_explanation
+from magcal_ros.core.samples import gravity_size, was_turned_over
 from magcal_ros.core.simulation import Robot, heading_errors
 
 ROBOT = Robot()

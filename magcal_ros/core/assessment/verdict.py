@@ -35,7 +35,6 @@ from magcal_ros.core.calibration.heading_sigma import (
     axis_share,
     calibration_sigma,
     every_figure,
-    lean,
     sideways_acceleration,
     usual_lean,
 )
@@ -198,17 +197,17 @@ LEVEL_ONLY = (
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
     """Return the verdict on an estimate; `window` contains its samples, if any."""
-    upward = knowledge.mounting.upward
+    mounting = knowledge.mounting
     figures = {
         Figure.ARC: estimate.arc,
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
-        Figure.AXIS_LEAN: lean(estimate.axis, upward),
+        Figure.AXIS_LEAN: mounting.lean(estimate.axis),
     }
     figures |= every_figure(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
-            figures[Figure.AXIS_LEAN] = usual_lean(window, upward)
+            figures[Figure.AXIS_LEAN] = usual_lean(window, mounting)
         elif estimate.arc * DEGREES > FULL_ARC_DEG:
             # Only a full turn separates a steady sideways acceleration from a slope. A fit with
             # the gyro has estimated this acceleration, and the gyro's bias and axes.
@@ -218,7 +217,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if window is not None and was_turned_over(window):
         del figures[Figure.AXIS_LEAN]
     bounds = bounds_of(estimate)
-    stands = window is not None and usual_lean(window, upward) * DEGREES <= UPRIGHT.good
+    stands = window is not None and usual_lean(window, mounting) * DEGREES <= UPRIGHT.good
     context = estimate, figures, knowledge, ROLLED if stands else Z_NOT_UP
     checks = [_check(bound, *context) for bound in bounds if bound.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)

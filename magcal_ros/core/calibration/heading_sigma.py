@@ -11,7 +11,6 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import (
-    angle_between,
     field_in_enu,
     mean_angle,
     unit,
@@ -19,6 +18,7 @@ from magcal_ros.core.geometry.attitude import (
     yaw_from_up_and_field,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.window import Window
 
 CHECKED_TILT = math.radians(10.0)
@@ -184,15 +184,6 @@ def axis_share(window: Window) -> float:
     return float(squares[0] / squares.sum())
 
 
-def lean(up: FloatArray, upward: FloatArray) -> float:
-    """Return the angle of up to the body's z or to the top of the vehicle, radians, the smaller.
-
-    `upward` (3,) points to the described top, body axes. A wrong description does no harm to a
-    calibration of an IMU whose z points up.
-    """
-    return min(angle_between(up, each) for each in (np.array([0.0, 0.0, 1.0]), upward))
-
-
-def usual_lean(window: Window, upward: FloatArray) -> float:
-    """Return the `lean` of the median specific force, radians."""
-    return lean(np.median(window.specific_force, axis=0), upward)
+def usual_lean(window: Window, mounting: Mounting) -> float:
+    """Return the `Mounting.lean` of the median specific force, radians."""
+    return mounting.lean(np.median(window.specific_force, axis=0))

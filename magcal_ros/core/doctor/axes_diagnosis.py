@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.rotations import (
     rpy_from_rotation,
     swapped,
 )
-from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge, Mounting
 from magcal_ros.core.samples.units import LEAST_UPRIGHT, usual_up
 from magcal_ros.core.samples.window import SensorLog
 
@@ -54,8 +54,9 @@ def check_gravity_direction(
     given: AxesHypotheses | None,
     other: AxesHypotheses | None,
     turned_left: bool | None,
+    mounting: Mounting,
 ) -> tuple[Finding, bool | None]:
-    """Check the direction of gravity.
+    """Check the direction of gravity against the body's z and the described top of the vehicle.
 
     Return a finding, and whether gravity's sign is wrong; None if either the sign or the IMU's axes
     are. `turned_left` is whether the user turned the robot to the left; None if unknown.
@@ -66,7 +67,7 @@ def check_gravity_direction(
         return undetermined("gravity_sign", name, STAND), False
     usual = usual / np.linalg.norm(usual)
     evidence = f"up is {vector_in_words(usual)}"
-    if usual[2] > LEAST_UPRIGHT:
+    if math.cos(mounting.lean(usual)) > LEAST_UPRIGHT:
         return ok_or_warning("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
         return ok_or_severe("imu_axes", name, evidence, upward_axis_in_words(usual)), False

@@ -34,7 +34,7 @@ from magcal_ros.core.doctor.prepared import CleanLog, segment_of_log
 from magcal_ros.core.doctor.turn_fit import TurnFit, force_latency
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge, Mounting
 from magcal_ros.core.samples.rest import LongestRest, longest_rest
 from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog
@@ -93,18 +93,18 @@ def compare(
     prepared: CleanLog, knowledge: Knowledge, turned_left: bool | None = None
 ) -> MotionResult:
     """Compare accelerometer, gyro and field."""
-    log = prepared.log
+    log, mounting = prepared.log, knowledge.mounting
     if prepared.is_short:
         return MotionResult(prepared, ())
     if not log.has_gyro:
         found = ok_or_warning("no_gyro", "gyro", "absent", NO_GYRO)
-        up = check_gravity_direction(log, None, None, turned_left)[0]
+        up = check_gravity_direction(log, None, None, turned_left, mounting)[0]
         return MotionResult(prepared, (found, up))
-    body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
+    body = replace(log, field=log.field @ mounting.to_body.T)
     part = segment_of_log(body)
     # The field must change by more than its noise.
     if part is None or usual_size(np.diff(part.field, axis=0)) >= AXES.worst_fit:
-        return _nothing_shown(prepared, None, turned_left)
+        return _nothing_shown(prepared, None, turned_left, mounting)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
     rates = interpolated(time, body.imu_time, body.rate)
@@ -115,13 +115,15 @@ def compare(
     likely = likely_rate_factor(part)
     given, factor = _explained(body, likely, knowledge, bias)
     if given is None:
-        return _nothing_shown(prepared, rest, turned_left)
+        return _nothing_shown(prepared, rest, turned_left, mounting)
     body = replace(body, rate=factor * body.rate)
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
     dead = bool(dead_axes(log.rate))
-    stands, up_is_down = check_gravity_direction(log, None if dead else given, other, turned_left)
+    stands, up_is_down = check_gravity_direction(
+        log, None if dead else given, other, turned_left, mounting
+    )
     hypotheses = other if up_is_down else given
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
@@ -216,7 +218,7 @@ def _explained(
 
 
 def _nothing_shown(
-    prepared: CleanLog, rest: LongestRest | None, turned_left: bool | None
+    prepared: CleanLog, rest: LongestRest | None, turned_left: bool | None, mounting: Mounting
 ) -> MotionResult:
     """Return the findings without a comparison; a rest still shows the gyro's bias."""
     log = prepared.log
@@ -227,7 +229,7 @@ def _nothing_shown(
         bias if rest is None else _bias(rest.rate, rest.sigma, 1.0),
         undetermined("rate_scale", "gyro: scale", why),
         undetermined("latency", "field: latency", why),
-        check_gravity_direction(log, None, None, turned_left)[0],
+        check_gravity_direction(log, None, None, turned_left, mounting)[0],
     )
     return MotionResult(prepared, findings)
 

@@ -38,10 +38,19 @@ from magcal_ros.core.doctor.prepared import prepare, segment_of_log
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
-from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge, Mounting
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
+from magcal_ros.core.samples.streams import SWAY
+from magcal_ros.core.samples.units import (
+    LEAST_UPRIGHT,
+    MISLED_BY_AXES,
+    TURNED_OVER,
+    Z_NOT_UP,
+    likely_field_unit,
+    was_turned_over,
+)
 from magcal_ros.core.samples.window import SensorLog, Window, is_noiseless
 
 YAW_BY_COURSE = "axes: yaw by course"
@@ -274,7 +283,37 @@ def wrong_stamps(window: Window) -> Refusal | None:
 def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal for wrong axes if they caused a method's refusal, else the latter."""
     wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
-    return with_explanation(refusal, window) if wrong is None else wrong
+    return with_explanation(refusal, window, knowledge.mounting) if wrong is None else wrong
+
+
+def with_explanation(refusal: Refusal, window: Window, mounting: Mounting = Mounting()) -> Refusal:
+    """Add the likely cause to a refusal, if it is a fault of the samples.
+
+    Such faults are the field's unit, axes that point down, stamps in bursts, and a slow IMU.
+    """
+    if len(window) == 0:
+        return refusal
+    hint = likely_field_unit(usual_size(window.field))
+    if not hint and refusal.reason in MISLED_BY_AXES:
+        force = window.specific_force.mean(axis=0)
+        if was_turned_over(window):
+            hint = TURNED_OVER
+        elif math.cos(mounting.lean(force)) < LEAST_UPRIGHT:
+            hint = Z_NOT_UP
+        hint = hint or bursts_in_words(window.time) or _slow_gyro_in_words(window)
+    return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
+
+
+def _slow_gyro_in_words(window: Window) -> str:
+    """Say that a gyro is too slow for a shaking robot; empty if it is not."""
+    gap = window.imu_gap
+    # A sway is resolved with at least two samples in half a period.
+    if window.angular_rate is None or gap <= 0.5 * SWAY:
+        return ""
+    return (
+        f"or the robot shakes too fast for an IMU of {1.0 / gap:.2g} Hz: publish or record it at "
+        "10 Hz or more, if possible at 50 Hz"
+    )
 
 
 def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:

@@ -15,7 +15,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     streams: DropReason FieldSample ImuSample Pair Pairer PositionSample SpeedSample StampGuard
         Streams VelocitySample
     units: InputCounts complaints gravity_in_body gravity_size likely_acceleration_unit
-        likely_field_unit unit_by_strength was_turned_over with_explanation
+        likely_field_unit unit_by_strength was_turned_over
     window: SensorLog Steps working_axes
     """,
 )

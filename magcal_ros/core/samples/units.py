@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.arrays import FloatArray, block_means, trapezoids
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
-from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.samples_tuning import COMPLAINTS, STREAMS
-from magcal_ros.core.samples.streams import SWAY, DropReason, Streams
+from magcal_ros.core.samples.streams import DropReason, Streams
 from magcal_ros.core.samples.window import Window
 
 LOCAL_STRENGTH = (
@@ -192,36 +191,6 @@ def was_turned_over(window: Window) -> bool:
 def usual_up(time: FloatArray, force: FloatArray, rate: FloatArray | None) -> FloatArray:
     """Return the mean direction (3,) of `gravity_in_body`, which is short if directions vary."""
     return np.asarray(unit(gravity_in_body(time, force, rate)).mean(axis=0))
-
-
-def with_explanation(refusal: Refusal, window: Window) -> Refusal:
-    """Add the likely cause to a refusal, if it is a fault of the samples.
-
-    Such faults are the field's unit, axes that point down, stamps in bursts, and a slow IMU.
-    """
-    if len(window) == 0:
-        return refusal
-    hint = likely_field_unit(usual_size(window.field))
-    if not hint and refusal.reason in MISLED_BY_AXES:
-        force = window.specific_force.mean(axis=0)
-        if was_turned_over(window):
-            hint = TURNED_OVER
-        elif force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)):
-            hint = Z_NOT_UP
-        hint = hint or bursts_in_words(window.time) or _slow_gyro_in_words(window)
-    return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
-
-
-def _slow_gyro_in_words(window: Window) -> str:
-    """Say that a gyro is too slow for a shaking robot; empty if it is not."""
-    gap = window.imu_gap
-    # A sway is resolved with at least two samples in half a period.
-    if window.angular_rate is None or gap <= 0.5 * SWAY:
-        return ""
-    return (
-        f"or the robot shakes too fast for an IMU of {1.0 / gap:.2g} Hz: publish or record it at "
-        "10 Hz or more, if possible at 50 Hz"
-    )
 
 
 NOT_NUMBERS = "samples are not finite (NaN or infinite): let the driver leave them out"

@@ -4,12 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core import Reason, Refusal, Window
+from magcal_ros.core.doctor import with_explanation
 from magcal_ros.core.samples import (
     StampGuard,
     bursts_in_words,
     spread_bursts,
     spread_each,
-    with_explanation,
 )
 
 
