@@ -9,13 +9,14 @@ of the inputs and not of the place.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.heading_tuning import FUSION, MOTION, PLACE_FIELD
@@ -37,8 +38,8 @@ LATE = GAINS.stop
 CURRENT = INPUTS.index(MotorInput.CURRENT)
 
 
-USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
-"""Size of an input while a robot moves, until it is known: rad/s, m/s, A."""
+USUAL_SIZES = np.array([1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5])
+"""Size of each of `INPUTS` while a robot moves, until it is known: rad/s, m/s, A."""
 
 
 @dataclass
@@ -76,7 +77,7 @@ class MotorLearning:
         ripple = LEARNING.body if motors is None else motors.ripple * MICROTESLA
         self._ripple = max(ripple, LEARNING.body)
         self._reference = math.nan if motors is None else motors.reference
-        self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
+        self._squares = USUAL_SIZES**2
         if motors is not None:
             for each, usual in zip(motors.inputs, motors.usual, strict=True):
                 self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
@@ -126,18 +127,18 @@ class MotorLearning:
     @property
     def motors(self) -> MotorField:
         """The present estimate; the gain of an input that explains nothing is near zero."""
-        here = np.r_[IRON, GAINS]
         which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
-        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in which)])
-        prior_mean = self._prior_mean[rows]
+        rows = _rows(which)
+        here, prior_mean = np.r_[IRON, GAINS][rows], self._prior_mean[rows]
         prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
-        now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
-        weighted = now @ self._mean[here[rows]] - prior @ prior_mean
-        known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
-        seen = _GainPosterior(
-            _positive(np.asarray(now - prior)), weighted, prior, prior_mean, known
-        )
-        return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
+        now = np.linalg.inv(self._covariance[np.ix_(here, here)])
+        weighted = now @ self._mean[here] - prior @ prior_mean
+        # The prior of a gain that the calibration does not contain has the mean zero.
+        known = np.isin(rows, _rows(self._known))
+        believed = np.where(np.outer(known, known), prior, 0.0)
+        seen = _GainPosterior(_positive(now - prior), weighted + believed @ prior_mean, believed)
+        covariance, mean, _ = seen.posterior(self._scales(seen, which))
+        return self._in_sensor_axes(covariance, mean, which)
 
     @property
     def delay(self) -> tuple[float, float]:
@@ -156,7 +157,7 @@ class MotorLearning:
         grid = LEARNING.usual * np.exp(LEARNING.spread * np.linspace(-2.0, 3.2, 14))
         grid = grid[grid < LEARNING.most]
         belief = -0.5 * (np.log(grid / LEARNING.usual) / LEARNING.spread) ** 2
-        scales = np.ones(len(seen.weighted))
+        scales = np.full(len(seen.weighted), math.inf)
         per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
         free = [(j, k) for j, k in enumerate(which) if k not in self._known]
         for j, k in free:
@@ -166,7 +167,7 @@ class MotorLearning:
                 odds = np.empty(len(grid))
                 for i, size in enumerate(grid):
                     scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
-                    odds[i] = seen.evidence(scales)
+                    odds[i] = seen.posterior(scales)[2]
                 odds = np.exp(odds + belief - np.max(odds + belief))
                 size = math.sqrt(float(odds @ grid**2 / odds.sum()))
                 scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
@@ -234,7 +235,7 @@ class MotorLearning:
         square = float(off @ np.linalg.solve(spread, off))
         weight = (LEARNING.freedom + 3.0) / (LEARNING.freedom + square)
         # Outliers have less weight; a large step that the gains may explain is no outlier.
-        gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
+        gain = min(weight, 1.0) * np.linalg.solve(spread, p_h.T).T
         self._mean += gain @ off
         self._covariance -= gain @ p_h.T
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
@@ -269,16 +270,13 @@ def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozen
     """Return prior mean and covariance of hard iron and gains (µT), and the known inputs."""
     matrix = calibration.correction.matrix
     size = 3 + 3 * len(INPUTS)
-    mean, covariance = np.zeros(size), np.zeros((size, size))
-    for k, each in enumerate(INPUTS):
-        at = slice(3 + 3 * k, 6 + 3 * k)
-        covariance[at, at] = (LEARNING.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
+    mean, sigmas = np.zeros(size), np.repeat(LEARNING.most / USUAL_SIZES, 3)
+    covariance = np.diag(np.r_[0.0, 0.0, 0.0, sigmas**2])
     covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
     motors, known = calibration.motors, frozenset[int]()
     if motors is not None:
-        known = frozenset(INPUTS.index(each) for each in motors.inputs)
         places = [INPUTS.index(each) for each in motors.inputs]
-        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in places)])
+        known, rows = frozenset(places), _rows(places)
         turn = np.kron(np.eye(1 + len(places)), matrix)
         joint = motors.joint(calibration.covariance)[9:, 9:]
         covariance[np.ix_(rows, rows)] = turn @ joint @ turn.T * MICROTESLA**2
@@ -293,6 +291,12 @@ def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozen
     return mean, covariance + 1e-6 * np.eye(size), known
 
 
+def _rows(inputs: Collection[int]) -> IntArray:
+    """Return the rows of the iron's error and of the gains of some inputs."""
+    gains = [3 + 3 * k + np.arange(3) for k in inputs]
+    return np.concatenate([np.arange(3), *gains])
+
+
 def _positive(matrix: FloatArray) -> FloatArray:
     """Return the nearest matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
@@ -301,30 +305,21 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _GainPosterior:
-    """The likelihood of the iron's error and the gains, and their priors."""
+    """The likelihood of the iron's error and the gains, and the prior of the known numbers."""
 
     shown: FloatArray  # information of the samples, shape (m, m)
-    weighted: FloatArray  # the same times the mean, shape (m,)
-    prior: FloatArray  # information of the prior of the known numbers, shape (m, m)
-    prior_mean: FloatArray  # shape (m,)
-    known: BoolArray  # which numbers have this prior, shape (m,); the others have a sigma
+    weighted: FloatArray  # information times mean, of samples and prior together, shape (m,)
+    prior: FloatArray  # information of the prior, zero for the other numbers, shape (m, m)
 
-    def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return covariance and mean under prior sigmas of the other numbers."""
-        information, weighted = self._believed(scales)
-        covariance = np.linalg.inv(self.shown + information)
-        return 0.5 * (covariance + covariance.T), covariance @ (self.weighted + weighted)
+    def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return covariance, mean and log evidence under prior sigmas of the other numbers.
 
-    def evidence(self, scales: FloatArray) -> float:
-        """Return the log evidence of such sigmas, up to a constant."""
-        information, weighted = self._believed(scales)
-        both, whole = self.shown + information, self.weighted + weighted
+        `scales` (m,) is infinite for the known numbers. The evidence is up to a constant.
+        """
+        information = self.prior + np.diag(scales**-2)
+        both = self.shown + information
+        covariance = np.linalg.inv(both)
+        mean = covariance @ self.weighted
         cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
-        return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
-
-    def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information matrix of all priors, and its product with the mean."""
-        known = self.known
-        free = np.diag(np.where(known, 0.0, scales**-2))
-        information = np.where(np.outer(known, known), self.prior, 0.0) + free
-        return information, information @ np.where(known, self.prior_mean, 0.0)
+        evidence = 0.5 * float(self.weighted @ mean - cost)
+        return 0.5 * (covariance + covariance.T), mean, evidence
