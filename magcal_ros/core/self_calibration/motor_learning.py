@@ -18,7 +18,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.geometry.vec3 import Triple, scaled
 from magcal_ros.core.heading.heading_tuning import FUSION, MOTION, PLACE_FIELD
 from magcal_ros.core.heading.motor_field_filter import ODDS, STREET
 from magcal_ros.core.samples.samples_tuning import STREAMS
@@ -42,19 +42,18 @@ USUAL_SIZES = np.array([1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5])
 """Size of each of `INPUTS` while a robot moves, until it is known: rad/s, m/s, A."""
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _Interval:
-    """Sums over the samples of a block, and rotation and path of the robot."""
+    """Means over some samples, and rotation and path of the robot."""
 
-    begin: float
-    turned: FloatArray
+    count: int
+    seconds: float
+    path: float  # metres
+    clear: bool  # whether the motors neither started nor stopped
+    turned: FloatArray  # rotation vector at the end, and its mean, radians
     mean_turned: FloatArray
-    seconds: float = 0.0
-    count: int = 0
-    field: FloatArray | float = 0.0
-    inputs: FloatArray | float = 0.0
-    path: float = 0.0
-    clear: bool = True
+    field: FloatArray  # raw, tesla
+    inputs: FloatArray
 
 
 class MotorLearning:
@@ -81,7 +80,8 @@ class MotorLearning:
         if motors is not None:
             for each, usual in zip(motors.inputs, motors.usual, strict=True):
                 self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
-        self._block: _Interval | None = None
+        self._rows: list[tuple[float, ...]] = []
+        """Stamp, duration, path, whether it is clear, rotation, raw field and inputs."""
         self._before: _Interval | None = None
         self._was_clear = True
         self._moving = 0.0
@@ -98,27 +98,32 @@ class MotorLearning:
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < STREAMS.longest_field_gap:
             self._forget_place()
-            self._block = self._before = None
+            self._rows, self._before = [], None
             return False
-        if self._block is None:
-            self._block = _Interval(stamp, np.zeros(3), np.zeros(3))
-        block, moves = self._block, motor_state.moving > 0.0
-        if moves:
-            # A robot at rest has a gyro's noise, and no turn.
-            block.turned = block.turned + seconds * np.array(rate)
-        block.path += seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
-        block.seconds += seconds
-        block.count += 1
-        block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
-        block.field = block.field + np.array(raw)
-        block.inputs = block.inputs + np.array(motor_state.values)
-        is_steady = motor_state.moving == self._moving
-        block.clear = block.clear and is_steady and motor_state.moving in (0.0, 1.0)
-        self._moving = motor_state.moving
-        if stamp - block.begin < PLACE_FIELD.block:
+        moving, moves = motor_state.moving, motor_state.moving > 0.0
+        is_clear = moving == self._moving and moving in (0.0, 1.0)
+        self._moving = moving
+        path = seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
+        # A robot at rest has a gyro's noise, and no turn.
+        turn = scaled(rate, seconds) if moves else (0.0, 0.0, 0.0)
+        self._rows.append((stamp, seconds, path, is_clear, *turn, *raw, *motor_state.values))
+        if stamp - self._rows[0][0] < PLACE_FIELD.block:
             return False
+        rows, self._rows = np.array(self._rows), []
+        count, means = len(rows), rows.mean(axis=0)
+        turned = np.cumsum(rows[:, 4:7], axis=0)
+        block = _Interval(
+            count,
+            seconds=float(count * means[1]),
+            path=float(count * means[2]),
+            clear=bool(means[3] == 1.0),
+            turned=turned[-1],
+            mean_turned=turned.mean(axis=0),
+            field=means[7:10],
+            inputs=means[10:],
+        )
         # Sensors and motors have latency: next to a start or stop no block is clear.
-        before, self._before, self._block = self._before, block, None
+        before, self._before = self._before, block
         if before is not None:
             self._take(before, block, self._was_clear and block.clear)
             self._was_clear = before.clear
@@ -207,11 +212,9 @@ class MotorLearning:
 
     def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
         """Propagate over a block and update with its means, but not next to a start or stop."""
-        count = block.count
-        u = np.asarray(block.inputs) / count
-        known = ~np.isnan(u)
+        known = ~np.isnan(block.inputs)
         self.measured |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
-        u = np.where(known, u, 0.0)
+        u = np.where(known, block.inputs, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
         # At rest all inputs are zero, also silent ones; except the current that holds a robot.
@@ -220,14 +223,13 @@ class MotorLearning:
             is_known = known[[self._is_used(each) for each in INPUTS]].all()
         if not (is_known and block.clear and is_even):
             return
-        raw = np.asarray(block.field) / count
-        y = self._calibration.correction.apply(raw) * MICROTESLA
-        later = np.asarray(after.inputs)[CURRENT] / after.count - u[CURRENT]
+        y = self._calibration.correction.apply(block.field) * MICROTESLA
+        later = after.inputs[CURRENT] - u[CURRENT]
         faster = later / block.seconds if known[CURRENT] and math.isfinite(later) else 0.0
         u[CURRENT] += self._mean[LATE] * faster
         gain = self._mean[GAINS].reshape(-1, 3)[CURRENT]
         h = np.column_stack([np.kron([1.0, 1.0, 1.0, *u], np.eye(3)), faster * gain])
-        noise = self._white / count + 1e-4
+        noise = self._white / block.count + 1e-4
         p_h = self._covariance @ h.T
         spread = h @ p_h + noise * np.eye(3)
         # The last column is the derivative by the current's latency.
