@@ -146,13 +146,8 @@ class TravelEstimator:
 
     def fit_course(self) -> CourseOffset | None:
         """Fit the offset of the compass against course to the whole drive."""
-        self.course = self._begin_course()()
+        self.course = fit_course_offset(self.chords)
         return self.course
-
-    def _begin_course(self) -> Callable[[], CourseOffset | None]:
-        """Return a function that fits the course, in up to a tenth of a second."""
-        chords = list(self.chords)
-        return lambda: fit_course_offset(chords)
 
     def give_up_fit(self) -> None:
         """Forget a failed fit, so that the next one may start."""
@@ -180,7 +175,7 @@ class TravelEstimator:
             # A vehicle goes backwards for the smaller part of its way.
             self._ahead, self.acceleration.turn = -self._ahead, -self.acceleration.turn
         turn = self.acceleration.turn if self.acceleration.is_yaw_known else None
-        checks, course = self.mounting.begin_fit(stamp, turn), self._begin_course()
+        checks, chords = self.mounting.begin_fit(stamp, turn), list(self.chords)
         self._is_running = True
 
         def then(found: tuple[Any, CourseOffset | None]) -> None:
@@ -194,7 +189,7 @@ class TravelEstimator:
                 self.acceleration.noise = mounting.noise
                 self.acceleration.density = mounting.density
 
-        self._run(lambda: (checks(), course()), then)
+        self._run(lambda: (checks(), fit_course_offset(chords)), then)
 
     def _use_yaw(self, yaw: float, error: float, scale: float) -> None:
         self.acceleration.turn = cmath.rect(scale, -yaw)
@@ -212,8 +207,7 @@ class TravelEstimator:
             elif self.acceleration.is_open(trip) and len(self._pending) < PENDING:
                 return
             chord = self._pending.popleft()
-            chord = chord if sign > 0.0 else chord.backwards
-            self.chords.append(chord)
+            self.chords.append(chord if sign > 0.0 else chord.backwards)
 
 
 class TravelReplay:

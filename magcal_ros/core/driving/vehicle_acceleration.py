@@ -98,8 +98,7 @@ class VehicleAcceleration:
             self._waiting.popleft()
             speed = None if track is None else track.at(first.stamp)
             if track is None or speed is None:
-                self._matched.clear()
-                self._gravity = None
+                self._try_anew()
             else:
                 self._meet(first, speed, track)
             met.append((first, math.nan if speed is None else speed * self.sign))
