@@ -9,14 +9,14 @@ of the inputs and not of the place.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, scaled
 from magcal_ros.core.heading.heading_tuning import FUSION, MOTION, PLACE_FIELD
@@ -57,15 +57,15 @@ class _Interval:
 
 
 class MotorLearning:
-    """Learns the motors' gains from successive samples; `measured` are the measured inputs."""
+    """Learns the motors' gains from successive samples."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self.measured: frozenset[MotorInput] = frozenset()
         self._calibration = calibration
         self._white = (calibration.noise_field * MICROTESLA) ** 2
         size = LATE + 1
         self._mean = np.zeros(size)
         self._prior_mean, self._prior, self._known = _beginning(calibration)
+        self._used = self._known  # which inputs have been measured, or are in the calibration
         self._covariance = np.zeros((size, size))
         rows = np.r_[IRON, GAINS]
         self._covariance[np.ix_(rows, rows)] = self._prior
@@ -132,14 +132,14 @@ class MotorLearning:
     @property
     def motors(self) -> MotorField:
         """The present estimate; the gain of an input that explains nothing is near zero."""
-        which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
+        which = np.flatnonzero(self._used)
         rows = _rows(which)
         here, prior_mean = np.r_[IRON, GAINS][rows], self._prior_mean[rows]
         prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
         now = np.linalg.inv(self._covariance[np.ix_(here, here)])
         weighted = now @ self._mean[here] - prior @ prior_mean
         # The prior of a gain that the calibration does not contain has the mean zero.
-        known = np.isin(rows, _rows(self._known))
+        known = np.isin(rows, _rows(np.flatnonzero(self._known)))
         believed = np.where(np.outer(known, known), prior, 0.0)
         seen = _GainPosterior(_positive(now - prior), weighted + believed @ prior_mean, believed)
         covariance, mean, _ = seen.posterior(self._scales(seen, which))
@@ -150,10 +150,7 @@ class MotorLearning:
         """Latency of the current, and its standard deviation, seconds."""
         return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
 
-    def _is_used(self, which: MotorInput) -> bool:
-        return which in self.measured or INPUTS.index(which) in self._known
-
-    def _scales(self, seen: _GainPosterior, which: list[int]) -> FloatArray:
+    def _scales(self, seen: _GainPosterior, which: IntArray) -> FloatArray:
         """Return the prior sigmas of gains that the calibration does not contain, µT per unit.
 
         Each is the root mean square under the posterior of the size (`Unknown`), one input after
@@ -162,24 +159,20 @@ class MotorLearning:
         grid = LEARNING.usual * np.exp(LEARNING.spread * np.linspace(-2.0, 3.2, 14))
         grid = grid[grid < LEARNING.most]
         belief = -0.5 * (np.log(grid / LEARNING.usual) / LEARNING.spread) ** 2
-        scales = np.full(len(seen.weighted), math.inf)
-        per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
-        free = [(j, k) for j, k in enumerate(which) if k not in self._known]
-        for j, k in free:
-            scales[3 + 3 * j : 6 + 3 * j] = LEARNING.usual * per_unit[k]
-        for _ in range(2 if free else 0):
-            for j, k in free:
-                odds = np.empty(len(grid))
-                for i, size in enumerate(grid):
-                    scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
-                    odds[i] = seen.posterior(scales)[2]
-                odds = np.exp(odds + belief - np.max(odds + belief))
-                size = math.sqrt(float(odds @ grid**2 / odds.sum()))
-                scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
+        scales, usual = np.full(len(seen.weighted), math.inf), np.sqrt(self._squares[which])
+        by_input, free = scales[3:].reshape(-1, 3), np.flatnonzero(~self._known[which])
+        by_input[free] = LEARNING.usual / usual[free, None]
+        for row in np.tile(free, 2):
+            odds = belief.copy()
+            for i, size in enumerate(grid):
+                by_input[row] = size / usual[row]
+                odds[i] += seen.posterior(scales)[2]
+            odds = np.exp(odds - odds.max())
+            by_input[row] = math.sqrt(float(odds @ grid**2 / odds.sum())) / usual[row]
         return scales
 
     def _in_sensor_axes(
-        self, covariance: FloatArray, mean: FloatArray, which: list[int]
+        self, covariance: FloatArray, mean: FloatArray, which: IntArray
     ) -> MotorField:
         """Return the gains, given the hard iron of the calibration in force."""
         calibration, count = self._calibration, len(which)
@@ -198,7 +191,7 @@ class MotorLearning:
             0.5 * (whole + whole.T),
             cross_covariance,
             self._ripple / MICROTESLA,
-            tuple(math.sqrt(self._squares[k]) for k in which),
+            tuple(np.sqrt(self._squares[which]).tolist()),
             self._reference,
         )
 
@@ -213,14 +206,14 @@ class MotorLearning:
     def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
         """Propagate over a block and update with its means, but not next to a start or stop."""
         known = ~np.isnan(block.inputs)
-        self.measured |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
+        self._used = self._used | known
         u = np.where(known, block.inputs, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
         # At rest all inputs are zero, also silent ones; except the current that holds a robot.
         is_known = known[CURRENT] or math.isnan(self._reference)
         if moves:
-            is_known = known[[self._is_used(each) for each in INPUTS]].all()
+            is_known = known[self._used].all()
         if not (is_known and block.clear and is_even):
             return
         y = self._calibration.correction.apply(block.field) * MICROTESLA
@@ -268,23 +261,23 @@ class MotorLearning:
         self._covariance[IRON, IRON] += LEARNING.iron_walk**2 * seconds * np.eye(3)
 
 
-def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
-    """Return prior mean and covariance of hard iron and gains (µT), and the known inputs."""
+def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return prior mean and covariance of hard iron and gains (µT), and which are known."""
     matrix = calibration.correction.matrix
     size = 3 + 3 * len(INPUTS)
     mean, sigmas = np.zeros(size), np.repeat(LEARNING.most / USUAL_SIZES, 3)
     covariance = np.diag(np.r_[0.0, 0.0, 0.0, sigmas**2])
     covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
-    motors, known = calibration.motors, frozenset[int]()
+    motors, known = calibration.motors, np.zeros(len(INPUTS), dtype=np.bool_)
     if motors is not None:
         places = [INPUTS.index(each) for each in motors.inputs]
-        known, rows = frozenset(places), _rows(places)
+        known[places], rows = True, _rows(places)
         turn = np.kron(np.eye(1 + len(places)), matrix)
         joint = motors.joint(calibration.covariance)[9:, 9:]
         covariance[np.ix_(rows, rows)] = turn @ joint @ turn.T * MICROTESLA**2
         mean[rows[3:]] = (motors.gain @ matrix.T).ravel() * MICROTESLA
         step = INPUTS.index(MotorInput.MOVING)
-        if step in known and INPUTS.index(MotorInput.CURRENT) not in known:
+        if known[step] and not known[CURRENT]:
             # The step found in the turn may have been the field of a current.
             at = slice(3 + 3 * step, 6 + 3 * step)
             whole = np.array(motors.usual) @ motors.gain @ matrix.T * MICROTESLA
@@ -293,7 +286,7 @@ def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozen
     return mean, covariance + 1e-6 * np.eye(size), known
 
 
-def _rows(inputs: Collection[int]) -> IntArray:
+def _rows(inputs: Sequence[int] | IntArray) -> IntArray:
     """Return the rows of the iron's error and of the gains of some inputs."""
     gains = [3 + 3 * k + np.arange(3) for k in inputs]
     return np.concatenate([np.arange(3), *gains])
