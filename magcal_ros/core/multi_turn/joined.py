@@ -259,9 +259,8 @@ def accuracy_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Turn
     iron = np.zeros((6, SHARED))
     iron[:, AT["soft_iron"]] = np.eye(6)
     iron[:2, SHIELDING] = 1.0
-    north, down = fit.state.earth[1], -fit.state.earth[2]
-    strength = math.hypot(north, down)
-    along, across = np.array([north, down]) / strength, np.array([-down, north]) / strength**2
+    along = np.array([math.cos(found.inclination), math.sin(found.inclination)])
+    across = np.array([-along[1], along[0]]) / (found.strength * MICROTESLA)
     earth = covariance[EARTH, EARTH]
     return TurnAccuracy(
         installation_yaw=yaw_sigma(covariance),
