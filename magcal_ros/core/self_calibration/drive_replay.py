@@ -65,10 +65,12 @@ def examine_drive(job: DriveJob) -> DriveResult:
     iron, refusal = _iron_since_known(nodes, job, clock), ""
     candidates = [] if iron is None else [iron]
     for seconds in job.windows:
-        if clock - seconds < first:
+        start = clock - seconds
+        if start < first:
             continue
         try:
-            candidates.append(_all_twelve(nodes, job, clock - seconds, clock))
+            fitted = drives.fit_drive(job.log, nodes.after(start), job.knowledge)
+            candidates.append(candidate_of(fitted, CandidateKind.ALL, job, start, clock))
         except Refusal as why:
             refusal = str(why)
     found = tuple(_with_ratio(nodes, each, job) for each in candidates)
@@ -102,11 +104,6 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
     start = max(job.changed, clock - SELF_CALIBRATION.look_back)
     fitted = drives.fit_iron(nodes.after(start), job.in_force.correction, job.knowledge)
     return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
-
-
-def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate:
-    fitted = drives.fit_drive(job.log, nodes.after(start), job.knowledge)
-    return candidate_of(fitted, CandidateKind.ALL, job, start, end)
 
 
 def _with_ratio(nodes: Nodes, fit: DriveCandidate, job: DriveJob) -> DriveCandidate:
@@ -285,8 +282,7 @@ def path_along(
         steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * MAP_EVERY)
         steps *= np.where(known, speed, FILTER.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
-    is_measured = fixes is not None
-    return DrivePath(place - place[0], error, is_measured, bool(known.any()))
+    return DrivePath(place - place[0], error, fixes is not None, bool(known.any()))
 
 
 def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:

@@ -210,8 +210,8 @@ class Watch:
     """What the last minutes of driving say about the calibration in force."""
 
     is_stale: bool = False  # whether the calibration no longer holds
-    was_judged: bool = False  # whether it could be judged at all since it is in force
-    findings: tuple[Check, ...] = ()  # the checks by which the state was last decided
+    findings: tuple[Check, ...] = ()
+    """The checks by which the state was last decided; empty if it could not yet be judged."""
     missing: str = NOTHING_YET  # the missing data; empty if the last minutes were judged
     since: float = -math.inf  # clock from which fits contradict it, seconds of movement
     contradicted_at: float = -math.inf  # clock of the end of the last fit that does
@@ -225,12 +225,12 @@ class Watch:
         differing = [fit for fit in fits if any(map(_contradicts, checks[fit]))]
         if any(fit.proof for fit in differing):
             since = self.since if self.is_stale else max(fit.start for fit in differing)
-            return Watch(True, True, checks[differing[0]], "", since, clock, clock)
+            return Watch(True, checks[differing[0]], "", since, clock, clock)
         for fit in fits:
             # Data from before a change dilute it.
             is_whole = fit.kind is CandidateKind.ALL and fit.start >= self.contradicted_at
             if is_whole and fit not in differing and checks[fit][0].is_judged:
-                return Watch(was_judged=True, findings=checks[fit], missing="", clock=clock)
+                return Watch(findings=checks[fit], missing="", clock=clock)
         missing = SUSPECTED if differing else found.refusal or TOO_UNCERTAIN
         return replace(self, clock=clock, missing=missing)
 
@@ -245,7 +245,7 @@ class Watch:
             minutes = max((self.clock - self.since) / 60.0, 1.0)
             since = f"for about {minutes:.0f} min of driving"
             return f"The calibration has not held {since}: {causes}; {AGAIN}."
-        if not self.was_judged:
+        if not self.findings:
             return f"Not judged yet: {self.missing}."
         if self.missing:
             return f"The calibration held when it was last judged. Since then: {self.missing}."

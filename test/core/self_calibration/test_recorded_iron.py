@@ -77,6 +77,6 @@ def test_a_calibration_holds_on_a_recorded_drive_until_iron_is_added(recording, 
     )
     machine = FollowedWatch()
     replay_drive(drive.knowledge, initial, samples, (), machine)
-    assert machine.watch.was_judged
+    assert machine.watch.findings
     assert machine.states[-1] == bool(share)
     assert any(machine.states) == bool(share)

@@ -58,7 +58,7 @@ def test_nothing_is_judged_without_a_conclusive_fit():
     assert Watch().summary == "Not judged yet: the robot has not driven with a gyro yet."
     vague = watched(candidate(FAR, 120.0, sigma=math.radians(9.0)))
     assert vague.summary == "Not judged yet: there was too little driving over different headings."
-    assert not vague.was_judged
+    assert not vague.findings
 
 
 def test_a_refusal_of_the_fits_is_told():
@@ -223,5 +223,5 @@ class TestInTheMachine:
         machine.put_in_force(calibration())
         assert follow(drive, machine) == []
         assert machine.in_words == "off"
-        assert machine.watch.was_judged or irons
+        assert machine.watch.findings or irons
         assert machine.watch.is_stale == bool(irons)
