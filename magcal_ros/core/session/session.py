@@ -126,10 +126,11 @@ class Session:
         gyro: GyroAtRest | None = None,
         longer: int = 1,
     ) -> None:
-        self.limits, self._gyro, self._longer = limits, gyro, longer
+        self.limits, self._gyro = limits, gyro
         self._to_body = mounting.to_body
         self._started = self._last_pair = self._last_turning = now
-        self._buffer = np.empty((1024, COLUMNS))
+        # The system provides the memory of a row when it is used.
+        self._buffer = np.empty((longer * SESSION.largest_buffer, COLUMNS))
         self._currents: list[tuple[float, float]] = []
         self._size = 0
         self._sigma, self._seen = math.inf, 0.0
@@ -229,12 +230,17 @@ class Session:
         window = Window(rows[:, 0], *sensors, rests=rests, sigma_before=sigma, speed=speed)
         return window.with_steps(steps.over(kept)).with_battery(self._currents)
 
-    def _kept(self, rows: FloatArray) -> IntArray:
-        """Return the rows that remain after thinning to equal angles."""
-        angle = self._angle(rows)
-        if angle is None:
+    def _kept(self, rows: FloatArray, most: int | None = None) -> IntArray:
+        """Return the rows that remain after thinning to equal angles.
+
+        If the angles are unknown, all remain, or at most `most` at equal times.
+        """
+        angle, time = self._angle(rows), rows[:, 0]
+        if angle is not None:
+            return thin_to_equal_angles(angle, most)
+        if most is None:
             return np.arange(len(rows))
-        return thin_to_equal_angles(angle)
+        return np.unique(np.searchsorted(time, np.linspace(time[0], time[-1], most)))
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
         field = rows[:, FIELD] @ self._to_body.T
@@ -261,19 +267,7 @@ class Session:
         )
 
     def _thin_out(self) -> None:
-        largest = self._longer * SESSION.largest_buffer
-        if self._size < largest:
-            more = np.empty((min(self._size, largest - self._size), COLUMNS))
-            self._buffer = np.concatenate([self._buffer, more])
-            return
-        most = largest // 2
-        angle = self._angle(self._buffer)
-        if angle is None:
-            stamps = self._buffer[:, 0]
-            evenly = np.linspace(stamps[0], stamps[-1], most)
-            kept = np.unique(np.searchsorted(stamps, evenly))
-        else:
-            kept = thin_to_equal_angles(angle, most=most)
+        kept = self._kept(self._buffer, most=len(self._buffer) // 2)
         rows = self._buffer[kept]
         rows[1:, SPAN] = np.column_stack(steps_of(self._buffer).over(kept))
         self._buffer[: len(rows)] = rows
