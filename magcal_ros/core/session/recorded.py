@@ -82,8 +82,7 @@ class SampleCollector:
         self.mounting = mounting
         self.streams = Streams(STREAMS.max_gap)
         self._session = Session(Limits(), mounting, 0.0, longer=LONGER)
-        self._best: Session | None = None
-        self._is_in_parts = False
+        self._best: Session | None = None  # the part with the largest arc, after a jump of time
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self.received = [0, 0]
@@ -139,7 +138,7 @@ class SampleCollector:
         drops = (self.streams.imu_drops, self.streams.field_drops)
         imu, field = map(InputCounts, self._topics, self.received, drops)
         found = complaints(self.streams, imu, field)
-        return [f"{self._topics[1]}: {IN_PARTS}", *found] if self._is_in_parts else found
+        return [f"{self._topics[1]}: {IN_PARTS}", *found] if self._best else found
 
     def progress(self) -> Progress:
         """Return how much of a turn was measured."""
@@ -167,7 +166,6 @@ class SampleCollector:
     def _collect(self) -> None:
         for pair in self._pairer.take():
             if self._session.jump(pair.field.stamp):
-                self._is_in_parts = True
                 self._choose()
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
@@ -178,11 +176,10 @@ class SampleCollector:
                 self._drive.add(pair, estimator.speed_near(pair.field.stamp))
 
     def _choose(self) -> None:
-        """Keep the part with the largest arc, if the time was set and there are two parts."""
+        """Go on with the part with the largest arc, if the time was set and there are two."""
         if self._best is not None:
             both = self._best, self._session
             self._session = max(both, key=lambda session: session.progress(0.0).coverage.arc)
-        self._best = None
 
 
 def fit_collected(
@@ -198,12 +195,11 @@ def fit_collected(
     log = collector.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
-    drive: Outcome | None = None
-    if method == METHODS[0] and log.rolls:
-        # Unlike a window, the log has the positions of the rests along the drive.
-        drive = calibrate_drive(log, knowledge)
-        if drive.verdict.accepted:
-            return drive
+    is_default = method == METHODS[0]
+    # Unlike a window, the log has the positions of the rests along the drive.
+    drive = calibrate_drive(log, knowledge) if is_default and log.rolls else None
+    if drive and drive.verdict.accepted:
+        return drive
     window = _window_or_refusal(collector, knowledge)
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method, progress)
@@ -211,7 +207,7 @@ def fit_collected(
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             return outcome.saying(f"{verdict.summary} {slow}.")
         return outcome
-    if drive is None and method == METHODS[0]:
+    if drive is None and is_default:
         drive = calibrate_drive(log, knowledge)
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
 

@@ -235,7 +235,7 @@ class TurnMonitor:
     def __init__(self, to_body: FloatArray) -> None:
         self._to_body = to_body
         self._turned = self._commanded = self._rate = 0.0
-        self._newest: tuple[float, float] | None = None
+        self._newest = -math.inf, 0.0  # stamp, and rate about up
         self._has_gyro = False
         self._rows: list[TurnRow] = []  # equally spaced in angle
         self._tested = 0  # number of rows at the last test
@@ -247,12 +247,11 @@ class TurnMonitor:
             return
         self._has_gyro = self._has_gyro or any(rate)
         about_up = dot(force, rate) / length(force)
-        if self._newest is not None:
-            step = stamp - self._newest[0]
-            if 0.0 < step <= STREAMS.longest_gyro_step:
-                self._turned += 0.5 * step * (about_up + self._newest[1])
-                self._commanded += step * command
-                self._rate += (about_up - self._rate) * min(step / ROTATION.smoothed, 1.0)
+        step = stamp - self._newest[0]
+        if 0.0 < step <= STREAMS.longest_gyro_step:
+            self._turned += 0.5 * step * (about_up + self._newest[1])
+            self._commanded += step * command
+            self._rate += (about_up - self._rate) * min(step / ROTATION.smoothed, 1.0)
         self._newest = (stamp, about_up)
         angles = self._turned, self._commanded
         gaps = (

@@ -47,11 +47,7 @@ class RotationTuning:
     smoothed: float = 0.2  # time constant of the gyro's rate, seconds
     spacing: float = math.radians(2.0)
     """Angle between the samples that are kept to compare gyro, commands and field, radians."""
-    spans: tuple[float, float, float] = (
-        math.radians(75.0),
-        math.radians(150.0),
-        math.radians(300.0),
-    )
+    spans: tuple[float, ...] = tuple(map(math.radians, (75.0, 150.0, 300.0)))
     """Spans of either angle that are tested, radians; a larger span is more conclusive."""
     disagree: float = 0.38  # relative difference of gyro and commands from which the field decides
     factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that are tried

@@ -112,9 +112,6 @@ Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 """An action for the owner of the state machine."""
 
 
-NO_SENSORS = ("", "")
-"""The frames of magnetometer and IMU before the first messages; some drivers leave them empty."""
-
 UNCHANGED = "the calibration in force is unchanged"
 
 
@@ -136,7 +133,8 @@ class TurnMachine:
         self.last_conclusion: Conclusion | None = None
         self._stage: Collecting | Fitting | Saving | None = None
         self._kept = KeptTurns()
-        self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
+        # The frames of magnetometer and IMU, which some drivers leave empty.
+        self._sensors = self._sensors_of_kept = self._sensors_of_outcome = "", ""
         self._commands: list[Command] = []
 
     @property
