@@ -111,9 +111,8 @@ class GyroFrame:
             return
         share = seconds / self._levelled / size
         self._levelled_off += size * share * complex(force[0], force[1])
-        # The frame's up turns towards the force about up x force, in body axes.
-        lean = self.to_body((-force[1] * share, force[0] * share, 0.0))
-        back = scaled(lean, -1.0)
+        # The frame's up turns towards the force about up x force, so the body turns about minus it.
+        back = self.to_body((force[1] * share, -force[0] * share, 0.0))
         assert self.axes is not None
         first, second, _ = (unit_triple(propagated(axis, back)) for axis in self.axes)
         self.axes = (first, second, cross(first, second))

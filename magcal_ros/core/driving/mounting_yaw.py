@@ -95,10 +95,6 @@ class Changes(NamedTuple):
     force: ComplexArray  # shape (n,)
     columns: ComplexArray  # change of velocity, and of the velocity of a lever arm, shape (2, n)
 
-    def last(self, count: int) -> Changes:
-        """Return the newest rows."""
-        return Changes(*(each[..., -count:] for each in self))  # type: ignore[arg-type]
-
 
 class TickTable(NamedTuple):
     """Ticks of a drive in arrays of shape (n,)."""
@@ -228,7 +224,8 @@ def check_speed(
     energy = np.cumsum((np.abs(changes.force) ** 2 * changes.seconds)[::-1])
     count = int(np.searchsorted(energy, MOUNTING.energy)) + 1
     if track.source is SpeedSource.ODOMETRY:
-        newest = fit_mounting_yaw(changes.last(count), delay)
+        newest_changes = Changes(*(each[..., -count:] for each in changes))  # type: ignore[arg-type]
+        newest = fit_mounting_yaw(newest_changes, delay)
         found = newest if newest is not None and newest.fault is not None else found
     newest_speeds = speed[-count // 2 :]
     is_constant = len(np.unique(newest_speeds[np.isfinite(newest_speeds)])) == 1
