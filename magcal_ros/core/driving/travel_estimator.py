@@ -34,14 +34,7 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.propagation import LinearAcceleration
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
-
-
 PENDING = 64  # chords that may wait for the direction of travel
-
-
-def run_immediately(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
-    """Call `work`, and `then` with its result."""
-    then(work())
 
 
 class TravelEstimator:
@@ -53,7 +46,7 @@ class TravelEstimator:
     has come.
     """
 
-    def __init__(self, run: Run = run_immediately) -> None:
+    def __init__(self, run: Run = lambda work, then: then(work())) -> None:
         self._run, self._is_running = run, False
         self.speedometer = Speedometer()
         self.mounting = MountingYawEstimator(self.speedometer)
@@ -221,9 +214,6 @@ class TravelReplay:
         self, readings: Iterable[ImuSample | FieldSample | None]
     ) -> Iterator[ImuSample | FieldSample | None]:
         """Yield the readings in their order; the attributes belong to the newest one."""
-        if not self._travel and self._streams is None:
-            yield from readings
-            return
         newest = -math.inf
 
         def stamp_of(reading: ImuSample | FieldSample | TravelSample | None) -> float:

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import numpy as np
 
@@ -51,7 +51,6 @@ from magcal_ros.core.session.at_known_heading import (
 )
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.up.follower import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""
@@ -105,7 +104,8 @@ class SampleCollector:
         self._session.note_currents(*currents)
         if travel:
             self._replay = TravelReplay(travel)
-        for reading in self._replay.readings(readings):
+            readings = self._replay.readings(readings)
+        for reading in readings:
             self.received[isinstance(reading, FieldSample)] += 1
             if reading is None:
                 streams.imu_drops[DropReason.ABSENT] += 1
@@ -262,15 +262,12 @@ def _window_or_refusal(collector: SampleCollector, knowledge: Knowledge) -> Wind
         return refusal
 
 
-AnyReading = TypeVar("AnyReading", bound=ImuSample | FieldSample | None)
-
-
 def without_motors(
-    readings: Iterable[AnyReading],
+    readings: Iterable[Reading],
     calibration: Calibration,
     travel: Iterable[TravelSample],
     currents: Messages,
-) -> Iterator[AnyReading | FieldSample]:
+) -> Iterator[Reading]:
     """Yield the readings with the field of the motors subtracted from the raw field.
 
     Wheel speeds in `travel` and battery `currents` (stamp in s, A) are in the order of stamps.
@@ -278,14 +275,11 @@ def without_motors(
     if calibration.motors is None:
         yield from readings
         return
-    compass, up, sense = Compass(calibration), UpFollower(), MotionDetector()
+    compass, sense, replay = Compass(calibration), MotionDetector(), TravelReplay(())
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
-    for reading in readings:
-        if isinstance(reading, ImuSample):
-            up.add(reading)
-        elif isinstance(reading, FieldSample):
-            stamp = reading.stamp
-            up.add_field(stamp, reading.field)
+    for reading in replay.readings(readings):
+        if isinstance(reading, FieldSample):
+            stamp, up = reading.stamp, replay.up
             rate = up.rate if up.is_propagated else None
             inputs = _newest(speeds, stamp), _newest(currents, stamp)
             reference = calibration.motors.reference
@@ -293,8 +287,8 @@ def without_motors(
             field, _ = compass.at_rest(stamp, reading.field, rate, motor_state)
             x, y, z = calibration.correction.undo(np.array(field)).tolist()
             yield FieldSample(stamp, (x, y, z))
-            continue
-        yield reading
+        else:
+            yield reading
 
 
 def _newest(values: Messages, stamp: float) -> float:
@@ -346,14 +340,12 @@ def fit_heading_topic(
             "and longitude"
         )
         return Outcome.refused(Refusal(Reason.NO_SOLUTION, words))
-    up, waiting = UpFollower(), iter(headings)
-    collector, following = HeadingCollector(up), next(waiting, None)
-    for reading in readings:
+    replay, waiting = TravelReplay(()), iter(headings)
+    collector, following = HeadingCollector(replay.up), next(waiting, None)
+    for reading in replay.readings(readings):
         if isinstance(reading, ImuSample):
-            up.add(reading)
             collector.on_imu(reading.stamp)
         elif isinstance(reading, FieldSample):
-            up.add_field(reading.stamp, reading.field)
             while following is not None and following.stamp <= reading.stamp:
                 collector.on_heading(following)
                 following = next(waiting, None)
