@@ -58,12 +58,11 @@ def examine_drive(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
-    since_change = _since_change(nodes, job, clock)
+    since_change, since_known = _irons(nodes, job, clock)
     first = max(float(nodes.time[0]) - 5.0, job.changed)
     if since_change is not None:
         first = max(first, since_change.start)
-    iron, refusal = _iron_since_known(nodes, job, clock), ""
-    candidates = [] if iron is None else [iron]
+    candidates, refusal = [] if since_known is None else [since_known], ""
     for seconds in job.windows:
         start = clock - seconds
         if start < first:
@@ -73,37 +72,35 @@ def examine_drive(job: DriveJob) -> DriveResult:
             candidates.append(candidate_of(fitted, CandidateKind.ALL, job, start, clock))
         except Refusal as why:
             refusal = str(why)
-    found = tuple(_with_ratio(nodes, each, job) for each in candidates)
-    if job.in_force is None:
-        return DriveResult(clock, found, refusal=refusal)
-    old, ratios = job.in_force, {}
-    for kind, fit in job.contests.items():
-        ratios[kind] = ratio_on(nodes.after(fit.end), old, fit.calibration, job.knowledge)
-    if since_change is not None:
-        road = nodes.after(since_change.start)
-        ratio = ratio_on(road, old, since_change.calibration, job.knowledge)
-        since_change = replace(since_change, ratio=ratio)
+    found, old = tuple(_with_ratio(nodes, each, job) for each in candidates), job.in_force
+    ratios = {
+        kind: ratio_on(nodes.after(fit.end), old, fit.calibration, job.knowledge)
+        for kind, fit in job.contests.items()
+        if old is not None
+    }
     return DriveResult(clock, found, since_change, ratios, refusal)
 
 
-def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
-    """Return the hard iron since the most likely change; None if no change is likely."""
-    if job.in_force is None:
-        return None
-    first = max(clock - SELF_CALIBRATION.look_back, job.changed)
-    change = find_change(nodes.after(first), job.in_force, job.knowledge)
-    if change is None or change.gain < SELF_CALIBRATION.notice:
-        return None
-    return candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
-
-
-def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
-    """Return the hard iron since the last proved change; None without one."""
-    if job.in_force is None or math.isinf(job.changed):
-        return None
+def _irons(
+    nodes: Nodes, job: DriveJob, clock: float
+) -> tuple[DriveCandidate | None, DriveCandidate | None]:
+    """Return the hard iron since the most likely change and since the last proved one, if any."""
+    old, since_change, since_known = job.in_force, None, None
+    if old is None:
+        return None, None
     start = max(job.changed, clock - SELF_CALIBRATION.look_back)
-    fitted = drives.fit_iron(nodes.after(start), job.in_force.correction, job.knowledge)
-    return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
+    recent = nodes.after(start)
+    change = find_change(recent, old, job.knowledge)
+    if change is not None and change.gain >= SELF_CALIBRATION.notice:
+        found = candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
+        road = nodes.after(change.since)
+        ratio = ratio_on(road, old, found.calibration, job.knowledge)
+        since_change = replace(found, ratio=ratio)
+    is_changed = math.isfinite(job.changed)
+    fitted = drives.fit_iron(recent, old.correction, job.knowledge) if is_changed else None
+    if fitted is not None:
+        since_known = candidate_of(fitted, CandidateKind.IRON, job, start, clock)
+    return since_change, since_known
 
 
 def _with_ratio(nodes: Nodes, fit: DriveCandidate, job: DriveJob) -> DriveCandidate:
