@@ -13,7 +13,7 @@ from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
-from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 from magcal_ros.core.samples.samples_tuning import STREAMS
@@ -68,19 +68,18 @@ class GyroTurn(NamedTuple):
     by_bias: float = 0.0
     """Sigma by the part of the bias beyond `FUSION.bias_sigma`, large before the first rest."""
 
-    def after(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
-        """Return the turn up to an IMU message at a stamp, seconds.
+    def followed(self, stamp: float, up: UpFollower) -> GyroTurn:
+        """Return the turn up to the stamp of an IMU message that `up` has received, seconds.
 
-        `up` is a unit vector. `rate` is the mean since the previous message, rad/s without the
-        known bias, body axes. `bias_variance` is of the bias about up, (rad/s)².
+        It is unknown over a gap, and while the gyro does not propagate up.
         """
-        seconds = stamp - self.stamp
-        if math.isnan(seconds):
+        seconds, axis = stamp - self.stamp, up.newest if up.is_propagated else None
+        if math.isnan(seconds) and axis is not None:
             return self._replace(stamp=stamp)
-        if not 0.0 < seconds <= STREAMS.longest_gyro_step:
+        if axis is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             return self._replace(stamp=stamp, variance=self.variance + UNKNOWN_YAW)
-        turn = dot(rate, up)
-        more = math.sqrt(max(0.0, bias_variance - FUSION.bias_sigma**2))
+        turn = dot(up.mean_rate, axis)
+        more = math.sqrt(max(0.0, up.gyro_bias.variance - FUSION.bias_sigma**2))
         return GyroTurn(
             stamp,
             self.seconds + seconds,
@@ -88,15 +87,6 @@ class GyroTurn(NamedTuple):
             self.variance + GYRO.walk_variance(turn * seconds, seconds),
             self.by_bias + more * seconds,
         )
-
-    def followed(self, stamp: float, up: UpFollower) -> GyroTurn:
-        """Return the turn up to the stamp of an IMU message that `up` has received.
-
-        It is unknown while the gyro does not propagate up.
-        """
-        if up.newest is None or not up.is_propagated:
-            return self._replace(stamp=stamp, variance=self.variance + UNKNOWN_YAW)
-        return self.after(stamp, up.newest, up.mean_rate, up.gyro_bias.variance)
 
     def since(self, before: GyroTurn) -> GyroTurn:
         """Return the turn after an earlier one with the same start."""

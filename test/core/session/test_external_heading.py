@@ -1,6 +1,7 @@
 """Repeated headings of another device, compared with the gyro."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,10 +32,18 @@ def test_a_heading_that_contradicts_the_gyro_is_reported(read, named):
     assert (named in check.fault) if named else not check.fault
 
 
+def following(rate, bias_variance=1e-6):
+    """What a turn reads of an up follower: the mean rate, rad/s, and the variance of the bias."""
+    bias = SimpleNamespace(variance=bias_variance)
+    return SimpleNamespace(
+        newest=(0.0, 0.0, 1.0), is_propagated=True, mean_rate=rate, gyro_bias=bias
+    )
+
+
 def turned(seconds, bias_variance=1e-6):
-    turn = GyroTurn()
+    turn, up = GyroTurn(), following((0.3, 0.0, 0.2), bias_variance)
     for k in range(int(50 * seconds) + 1):
-        turn = turn.after(0.02 * k, (0.0, 0.0, 1.0), (0.3, 0.0, 0.2), bias_variance)
+        turn = turn.followed(0.02 * k, up)
     return turn
 
 
@@ -44,10 +53,10 @@ def test_the_turn_since_a_measurement_has_a_correct_sigma():
     assert turn.angle == pytest.approx(2.0)
     assert turn.seconds == pytest.approx(10.0)
     assert math.radians(0.3) < turn.sigma < math.radians(1.0)
-    later = turn.after(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
+    later = turn.followed(20.0, following((0.0, 0.0, 0.0)))
     assert math.isinf(later.sigma)
     # After a gap the turn is known again.
-    assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
+    assert later.followed(20.02, following((0.0, 0.0, 0.2))).since(later).sigma < 0.01
 
 
 def test_a_turn_is_unknown_while_the_gyro_is_not_used():
