@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import Pair
@@ -217,15 +217,6 @@ def _spans_to_the_end(angle: FloatArray) -> FloatArray:
     return np.asarray(np.maximum.accumulate(backward) - np.minimum.accumulate(backward))[::-1]
 
 
-class TurnRow(NamedTuple):
-    """A sample of a turn."""
-
-    turned: float
-    commanded: float  # radians since the start, left positive, by gyro and by commands
-    field: Triple  # raw field, tesla
-    force: Triple  # m/s²
-
-
 class TurnMonitor:
     """Integrates the gyro over one turn and tests it by the field.
 
@@ -237,7 +228,8 @@ class TurnMonitor:
         self._turned = self._commanded = self._rate = 0.0
         self._newest = -math.inf, 0.0  # stamp, and rate about up
         self._has_gyro = False
-        self._rows: list[TurnRow] = []  # equally spaced in angle
+        self._rows: list[tuple[float, float, Triple, Triple]] = []
+        """Radians by gyro and by commands, raw field (tesla) and force (m/s²), spaced in angle."""
         self._tested = 0  # number of rows at the last test
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
@@ -258,7 +250,7 @@ class TurnMonitor:
             abs(a - b) for last in self._rows[-1:] for a, b in zip(angles, last[:2], strict=True)
         )
         if max(gaps, default=math.inf) >= ROTATION.spacing:
-            self._rows.append(TurnRow(*angles, pair.field.field, force))
+            self._rows.append((*angles, pair.field.field, force))
 
     def measured(self, progress: Progress) -> MeasuredTurn:
         """Return the turn by the gyro, or without a gyro by the session's compass."""
@@ -314,7 +306,5 @@ class TurnMonitor:
         if len(self._rows) < 10:
             return np.zeros(0), np.zeros(0), np.zeros((0, 2))
         turned, commanded, field, force = map(np.array, zip(*self._rows, strict=True))
-        up = unit(force.mean(axis=0))
-        first = unit(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))
-        axes = np.array([first, np.cross(up, first)])
-        return turned, commanded, field @ self._to_body.T @ axes.T
+        level = minimal_rotation(unit(force.mean(axis=0)), np.array([0.0, 0.0, 1.0]))[:2]
+        return turned, commanded, field @ self._to_body.T @ level.T
