@@ -48,7 +48,7 @@ class GyroFrame:
 
     def __init__(self) -> None:
         self._last: ImuSample | None = None
-        self.axes: Axes | None = None
+        self.axes: Axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
         self.restarts = 0
         self._levelled = self._turned = self._seconds = 0.0
         self._force: Triple = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class GyroFrame:
             return None
         last, self._last = self._last, sample
         seconds = math.inf if last is None else stamp - last.stamp
-        if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
+        if last is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
         turn = scaled(minus(interpolate(last.rate, sample.rate, 0.5), bias), seconds)
@@ -77,7 +77,6 @@ class GyroFrame:
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
-        assert self.axes is not None
         first, second, third = (scaled(a, x) for a, x in zip(self.axes, vector, strict=True))
         return plus(plus(first, second), third)
 
@@ -91,7 +90,6 @@ class GyroFrame:
         self._levelled = self._turned = self._seconds = 0.0
 
     def _end(self, stamp: float) -> Tick | None:
-        assert self.axes is not None
         x, y, z = (value / self._seconds for value in self._force)
         forward = complex(self.axes[0][0], self.axes[1][0])
         seconds, turned = self._seconds, self._turned
@@ -113,6 +111,5 @@ class GyroFrame:
         self._levelled_off += size * share * complex(force[0], force[1])
         # The frame's up turns towards the force about up x force, so the body turns about minus it.
         back = self.to_body((force[1] * share, -force[0] * share, 0.0))
-        assert self.axes is not None
         first, second, _ = (unit_triple(propagated(axis, back)) for axis in self.axes)
         self.axes = (first, second, cross(first, second))

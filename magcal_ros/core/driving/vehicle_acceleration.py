@@ -107,8 +107,7 @@ class VehicleAcceleration:
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> LinearAcceleration | None:
         """Return the acceleration at a specific force, m/s², body axes; None if unknown."""
         since, gravity, size = self._gravity or (math.inf, force, 0.0)
-        is_known = self.is_yaw_known and 0.0 <= stamp - since <= ACCELERATION.oldest
-        if not is_known or frame.axes is None:
+        if not (self.is_yaw_known and 0.0 <= stamp - since <= ACCELERATION.oldest):
             return None
         by_turn = (size * self.error) ** 2
         variance = self.noise**2 + by_turn
