@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationPlan, TurnMonitor
@@ -46,14 +48,6 @@ class ControlStep:
     ended: str = ""  # why the turn ends before it is complete; its samples are fitted
 
 
-@dataclass(frozen=True)
-class TurnInProgress:
-    """The robot turns."""
-
-    plan: RotationPlan
-    monitor: TurnMonitor
-
-
 class SelfTurn:
     """Turns the robot from the first usable samples of a turn until its end.
 
@@ -64,8 +58,10 @@ class SelfTurn:
         self, imu: str = "the IMU", field: str = "the field", command: str = "cmd_vel"
     ) -> None:
         self._imu, self._field, self._command = imu, field, command
-        self._stage: TurnRequest | TurnInProgress | None = None
-        """A `TurnRequest` while it waits for sensors, a subscription of the commands, the guard."""
+        self._stage: TurnRequest | RotationPlan | None = None
+        """The request while it waits for sensors, a subscription of the commands, and the guard;
+        the plan while the robot turns."""
+        self._monitor = TurnMonitor(np.eye(3))
         self._zeros = 0  # zeros that are still to be sent
         self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
@@ -95,26 +91,24 @@ class SelfTurn:
 
     def take(self, pair: Pair, now: float) -> None:
         """Take the next sample of the turn."""
-        stage = self._stage
-        if isinstance(stage, TurnInProgress):
+        if isinstance(self._stage, RotationPlan):
             self._paired = now
-            stage.monitor.add(pair, stage.plan.command)
+            self._monitor.add(pair, self._stage.command)
 
     def look(self, now: float, progress: Progress, conditions: TurnConditions) -> ControlStep:
         """Return the control step at `now` (s, steady clock); called twenty times a second."""
-        stage = self._stage
+        plan, monitor = self._stage, self._monitor
         since, self._looked = now - self._looked, now
         if self._zeros:
             self._zeros -= 1
             return ControlStep(0.0)
-        if isinstance(stage, TurnRequest):
-            return self._wait(stage, now, conditions)
-        if stage is None:
+        if isinstance(plan, TurnRequest):
+            return self._wait(plan, now, conditions)
+        if plan is None:
             return ControlStep()
-        plan, monitor = stage.plan, stage.monitor
         measured, commanded = monitor.measured(progress), plan.command
         rate = plan.step(now, measured)
-        objection = self._objection(stage, now, since, conditions) or plan.objection(measured)
+        objection = self._objection(plan, now, since, conditions) or plan.objection(measured)
         if objection:
             return self.abort(objection)
         if plan.is_late(now):
@@ -130,14 +124,14 @@ class SelfTurn:
     def stop(self) -> ControlStep:
         """Stop the robot."""
         stage, self._stage = self._stage, None
-        if not isinstance(stage, TurnInProgress):
+        if not isinstance(stage, RotationPlan):
             return ControlStep()
         self._zeros = SELF_TURN.zeros
         return ControlStep(0.0)
 
     def abort(self, reason: str) -> ControlStep:
         """Stop the robot and end its turn, with the reason."""
-        moved = isinstance(self._stage, TurnInProgress) or self._zeros > 0
+        moved = isinstance(self._stage, RotationPlan) or self._zeros > 0
         rate = self.stop().rate
         return ControlStep(rate, f"the robot was stopped: {reason}" if moved else reason)
 
@@ -154,15 +148,15 @@ class SelfTurn:
         elif conditions.is_guarded:
             if waited >= SESSION.rest:
                 assert request.speed is not None
-                plan = RotationPlan(request.speed, now, request.limits.timeout)
-                self._stage = TurnInProgress(plan, TurnMonitor(request.knowledge.mounting.to_body))
+                self._stage = RotationPlan(request.speed, now, request.limits.timeout)
+                self._monitor = TurnMonitor(request.knowledge.mounting.to_body)
                 self._paired = now
         elif waited > SELF_TURN.guarded_within:
             return self.abort(UNGUARDED)
         return ControlStep()
 
     def _objection(
-        self, stage: TurnInProgress, now: float, since: float, conditions: TurnConditions
+        self, plan: RotationPlan, now: float, since: float, conditions: TurnConditions
     ) -> str:
         """Return why the turn must not continue; empty if it may."""
         if since > SELF_TURN.gyro_silence:
@@ -174,7 +168,7 @@ class SelfTurn:
             return "rotate.enabled was switched off"
         if not conditions.is_guarded:
             return GUARD_GONE
-        is_pausing = stage.plan.phase is Phase.PAUSE
+        is_pausing = plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > SELF_TURN.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # A pair needs both sensors, so pairs end a little before a sensor counts as silent.
@@ -192,4 +186,4 @@ class SelfTurn:
             )
         if is_unpaired:
             return "no new pair of field and acceleration samples has come while the robot turned"
-        return stage.monitor.objection()
+        return self._monitor.objection()
