@@ -71,26 +71,26 @@ class SpeedTrack:
         return not 0.0 < stamp - self.newest < SPEED.shortest
 
     def add(self, stamp: float, speed: float) -> bool:
-        """Add a speed; return whether it was usable."""
+        """Add a speed; return whether it was usable.
+
+        After a jump it is accepted only if the next one confirms it.
+        """
         if not self.wants(stamp):
             return True
         if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
             return False
         if stamp < self.newest:
             self._kept.clear()
-        self._accept((stamp, speed))
-        return True
-
-    def _accept(self, sample: tuple[float, float]) -> None:
-        """Accept a sample; after a jump only if the next sample confirms it."""
+        sample = stamp, speed
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._kept) and is_jump(self._kept[-1], sample)
         # A running mean over the number of samples of which ten may be outliers.
         self.outlier_share += (is_wild - self.outlier_share) * 0.1 * SPEED.outliers
         if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample
-            return
-        self._kept.append(sample)
+        else:
+            self._kept.append(sample)
+        return True
 
     @property
     def is_quick(self) -> bool:

@@ -142,7 +142,7 @@ class VehicleAcceleration:
         # A slope of the road and the accelerometer's bias are no change of velocity.
         seen = complex(x, y) - self._rest
         product = (seen * own.conjugate()).real
-        if not track.is_signed and self._moves:
+        if self.is_yaw_known and self._moves and not track.is_signed:
             self._decide(product)
         own *= self.sign
         self._rest += end.seconds / ACCELERATION.memory * (seen - own)
@@ -153,8 +153,6 @@ class VehicleAcceleration:
 
         The evidence is bounded, as a speed at 1 Hz may miss a stop.
         """
-        if not self.is_yaw_known:
-            return
         most = 2.0 * CLEAR**2  # the log odds of a force of this many sigmas
         odds = self._odds + 2.0 * product / (MOUNTING.smooth * self.noise**2)
         self._odds = min(max(odds, -most), most)
