@@ -76,11 +76,6 @@ class DriveCandidate:
         return reason_to_accept(self.kind, self.ratio, beyond_iron)
 
     @property
-    def sectors(self) -> int:
-        """Number of headings driven, of twelve."""
-        return round(self.calibration.evidence.figure(Figure.HEADINGS_DRIVEN, 0.0))
-
-    @property
     def seconds(self) -> float:
         """Duration of the data."""
         return self.end - self.start
@@ -89,8 +84,9 @@ class DriveCandidate:
     def in_words(self) -> str:
         """The candidate in words."""
         what = "calibration" if self.kind is CandidateKind.ALL else "hard iron"
+        sectors = self.calibration.evidence.figure(Figure.HEADINGS_DRIVEN, 0.0)
         return (
-            f"a {what} from {self.seconds:.0f} s of driving, {self.sectors} of 12 headings,"
+            f"a {what} from {self.seconds:.0f} s of driving, {sectors:.0f} of 12 headings,"
             f" ±{math.degrees(self.sigma):.1f}°"
         )
 
@@ -220,7 +216,9 @@ class Watch:
     def after(self, found: DriveResult, old: Calibration) -> Watch:
         """Return the state after a job; `old` is in force since the beginning of its data."""
         change, clock = found.since_change, found.clock
-        fits = sorted((*found.candidates, *(() if change is None else (change,))), key=_rank)
+        fits = [*found.candidates, *([] if change is None else [change])]
+        # A fit of the hard iron alone comes last, as it shows no other change.
+        fits.sort(key=lambda fit: (fit.kind is CandidateKind.IRON, fit.sigma))
         checks = {fit: tuple(checks_of(fit, old)) for fit in fits}
         differing = [fit for fit in fits if any(map(_contradicts, checks[fit]))]
         if any(fit.proof for fit in differing):
@@ -250,11 +248,6 @@ class Watch:
         if self.missing:
             return f"The calibration held when it was last judged. Since then: {self.missing}."
         return "The calibration holds on the headings of the last minutes."
-
-
-def _rank(fit: DriveCandidate) -> tuple[bool, float]:
-    """Return the order of fits: one of the hard iron alone shows no other change."""
-    return fit.kind is CandidateKind.IRON, fit.sigma
 
 
 def contradicts(fit: DriveCandidate, old: Calibration) -> bool:
