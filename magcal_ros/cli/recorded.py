@@ -62,6 +62,7 @@ RECORDINGS = (
     "phone's Sensor Logger or phyphox"
 )
 ANGLES = ("ROLL", "PITCH", "YAW")
+USUAL_SIGMA_DEG = 2.0  # of a heading that a person gives
 
 
 def add_recording_options(
@@ -195,9 +196,8 @@ def add_heading_options(parser: Any) -> None:
     known.add_argument(
         "--sigma-deg",
         type=number(0.01, 45.0),
-        default=2.0,
         metavar="SIGMA",
-        help="standard deviation of the heading, ° (default 2)",
+        help=f"standard deviation of the heading, ° (default {USUAL_SIGMA_DEG:g})",
     )
     known.add_argument(
         "--heading-topic",
@@ -216,15 +216,18 @@ def check_heading_options(options: argparse.Namespace) -> None:
     """Raise UsageError for options that exclude each other."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
-        if options.north:
+        given = {"--north": options.north, "--sigma-deg": options.sigma_deg}
+        for option in (name for name, value in given.items() if value is not None):
             raise UsageError(
-                "--north is only for headings: give --heading-deg or --heading-topic with it"
+                f"{option} is only for headings: give --heading-deg or --heading-topic with it"
             )
         return
     if options.north is None:
         raise UsageError("give the north of the headings: --north true or --north magnetic")
     if angles and topic:
         raise UsageError("give --heading-deg or --heading-topic, not both")
+    if topic and options.sigma_deg is not None:
+        raise UsageError("--sigma-deg is for --heading-deg: the messages of a topic hold their own")
     if angles and len(angles) != len(options.recordings):
         raise UsageError(
             f"{len(angles)} headings for {len(options.recordings)} recordings: give one "
@@ -249,6 +252,6 @@ def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | No
     for path in options.recordings:
         with opened(options, path) as source:
             pairs.append(pairs_at_rest(RepairedReadings(source)))
-    sigma = math.radians(options.sigma_deg)
+    sigma = math.radians(USUAL_SIGMA_DEG if options.sigma_deg is None else options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
     return fit_at_headings(pairs, given, knowledge)

@@ -66,6 +66,11 @@ def test_a_bearing_instead_of_a_yaw_is_named(fit, recordings):
         (["--heading-deg", 10, 20, 30], "--north true or --north magnetic"),
         (["--heading-deg", 10, "--north", "true"], "1 headings for 3 recordings"),
         (["--north", "true"], "give --heading-deg or --heading-topic"),
+        (["--sigma-deg", 1], "--sigma-deg is only for headings"),
+        (
+            ["--heading-topic", "/h", "--north", "true", "--sigma-deg", 1],
+            "--sigma-deg is for --heading-deg",
+        ),
         (["--heading-topic", "/heading", "--north", "true"], "takes one recording"),
     ],
 )
