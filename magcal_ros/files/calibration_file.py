@@ -73,7 +73,7 @@ class Origin:
 class _PlainLoader(yaml.SafeLoader):
     """Safe YAML without aliases and deep nesting, which could exhaust the memory.
 
-    Of an entry that is given twice, YAML would silently take the last.
+    An entry given twice is an error (YAML takes the last); one without a value is missing.
     """
 
     _depth = 0
@@ -82,7 +82,7 @@ class _PlainLoader(yaml.SafeLoader):
         names = [each.value for each, _ in node.value]
         if twice := [name for name in names if names.count(name) > 1]:
             raise yaml.YAMLError(f"{twice[0]!r} is given twice")
-        return super().construct_mapping(node, deep)
+        return {k: v for k, v in super().construct_mapping(node, deep).items() if v is not None}
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):

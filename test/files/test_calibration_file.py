@@ -282,6 +282,12 @@ class TestDamage:
         with pytest.raises(FileError, match=key):
             read_calibration(written)
 
+    @pytest.mark.parametrize("change", [{"frames": None}, {"frames": {"field_raw": None}}])
+    def test_an_entry_without_a_value_is_missing(self, written, change):
+        with_change(written, lambda document: document.update(change))
+        with pytest.raises(FileError, match=r"'(frames|field_raw)' is missing"):
+            read_calibration(written)
+
     @pytest.mark.parametrize(
         "text",
         [
