@@ -224,6 +224,7 @@ def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
     if len(conclusions) == 1:
         return next(iter(conclusions.values()))
     words = "; ".join(f"{topic}: {each.message}" for topic, each in conclusions.items())
+    words = words.replace(".; ", "; ")
     return Conclusion(all(each.success for each in conclusions.values()), words)
 
 

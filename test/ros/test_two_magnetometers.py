@@ -183,7 +183,7 @@ def test_a_magnetometer_that_stops_during_the_turn_does_not_affect_the_others(
 
 
 def test_turns_succeed_if_one_of_them_does():
-    good, bad = Conclusion(True, "excellent"), Conclusion(False, "silent; nothing was seen")
+    good, bad = Conclusion(True, "excellent."), Conclusion(False, "silent; nothing was seen")
     assert of_turns({"/a": good}) == good
     assert of_turns({"/a": good, "/b": good}) == joined({"/a": good, "/b": good})
     assert not of_turns({"/a": bad, "/b": bad}).success
@@ -191,6 +191,7 @@ def test_turns_succeed_if_one_of_them_does():
         assert found.success
         assert found.message.startswith("this turn did not calibrate /b: ")
         assert "/b: silent; nothing was seen" in found.message
+        assert ".;" not in found.message
 
 
 def test_two_publishers_of_the_common_imu_are_reported_and_its_rate_is_right():
