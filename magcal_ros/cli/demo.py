@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import signal
 import sys
 import time
@@ -203,7 +204,13 @@ def run_replay(options: argparse.Namespace) -> int:
 
     The recording is a folder with imu.csv: t,ax,ay,az,gx,gy,gz and mag.csv: t,mx,my,mz; SI units.
     """
-    recording = read_csv_folder(options.folder)
+    folder = options.folder
+    if os.path.exists(folder) and not os.path.exists(folder / "imu.csv"):
+        raise FileError(
+            f"{folder} has no imu.csv: only a folder with imu.csv and mag.csv can be replayed (for "
+            "a bag use `ros2 bag play`)"
+        )
+    recording = read_csv_folder(folder)
     _require_stamps(options.folder, recording)
     with joined("magcal_replay", ["--ros-args", *options.ros_args]) as node:
         from magcal_ros.ros.rehearsal import SensorSource, replay

@@ -218,6 +218,17 @@ def test_a_missing_recording_is_reported_in_one_line(call, tmp_path):
     assert is_one_line(done)
 
 
+@pytest.mark.parametrize("name", ["bag/metadata.yaml", "bag.mcap"])
+def test_a_bag_to_replay_is_left_to_the_command_that_plays_it(call, tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("rosbag2_bagfile_information:\n")
+    done = call("replay", path if path.parent == tmp_path else path.parent)
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert is_one_line(done)
+    assert b"ros2 bag play" in done.stderr
+
+
 def test_a_wrong_command_is_a_usage_error(call):
     assert call("dance").returncode == Exit.USAGE
 
