@@ -116,8 +116,9 @@ class HeadingTopic:
             sample = read_heading(data)
         except Unreadable as error:
             sample = str(error)
-        if isinstance(sample, str):
-            self._fault = sample
+        fault = sample if isinstance(sample, str) else self._wrong_clock(sample.stamp)
+        if isinstance(sample, str) or fault:
+            self._fault = fault
             return
         if self._collector is None:
             # Modules that only headings need are imported with the first heading.
@@ -144,6 +145,18 @@ class HeadingTopic:
         if missed is not None:
             self._missed = self._missed + 1 if missed > FUSION.heading_gate else 0
             self._gap = yaw.last_heading_gap
+
+    def _wrong_clock(self, stamp: float) -> str:
+        """Say by how much a heading's stamp is not that of the IMU; empty if it is."""
+        imu = self._magnetometer.inputs.imu
+        behind = self._pipeline.up.newest_stamp - stamp
+        if not VALID_FOR + imu.age() < abs(behind) < math.inf:
+            return ""
+        return (
+            f"their stamps are {abs(behind):.1f} s {'before' if behind > 0.0 else 'after'} those "
+            f"of {imu.topic}, so they are not used: check that they are times of measurement by "
+            "the same clock"
+        )
 
     def _fit(self, settings: Settings, collector: HeadingCollector) -> None:
         measurements, kept = collector.measurements, collector.kept

@@ -121,6 +121,7 @@ class Antennas:
 
     def __init__(self, actor, read=lambda yaw: yaw):
         self._actor, self._read, self.variance = actor, read, math.radians(1.0) ** 2
+        self.late = 0.0
         self._out = actor.node.create_publisher(Imu, "heading", qos_profile_sensor_data)
         self._timer = actor.node.create_timer(0.1 / actor.speed, self._publish)
 
@@ -128,7 +129,7 @@ class Antennas:
         ride = self._actor.ride
         half = 0.5 * self._read(ride.magnetic_yaw - math.radians(DECLINATION))
         message = Imu(orientation=Quaternion(z=math.sin(half), w=math.cos(half)))
-        sec, nanosec = divmod(round(ride.stamp * 1e9), 10**9)
+        sec, nanosec = divmod(round((ride.stamp - self.late) * 1e9), 10**9)
         message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         message.orientation_covariance[8] = self.variance
         self._out.publish(message)
@@ -195,6 +196,23 @@ def test_field_samples_between_those_of_the_imu_are_collected(stage):
     actor.run(PATIENCE, stop=lambda: actor.status["known_headings"] is not None)
     actor.run(PATIENCE, stop=lambda: actor.status["known_headings"]["topic"]["kept"] > 0)
     assert actor.status["known_headings"]["topic"]["kept"] > 0
+
+
+@pytest.mark.parametrize(
+    ("late", "words"), [(5.0, "s before those of"), (-5.0, "s after those of")]
+)
+def test_headings_by_another_clock_are_named_and_not_used(late, words, stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    stated = []
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: stated.append(str(array.status)), 10
+    )
+    Antennas(actor).late = late
+    actor.run(PATIENCE, 0.5, lambda: any(words in each for each in stated))
+    assert any(words in each and "the same clock" in each for each in stated)
+    lost = actor.answer(actor.call("calibrate_at_heading"))
+    assert not lost.success
+    assert words in lost.message
 
 
 def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
