@@ -19,8 +19,10 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
     """Copy `values` into a read-only float array of a given shape.
 
     In `shape`, -1 stands for any length; `name` is used in error messages. Raises `ValueError` if
-    the shape differs, or if a number is not finite.
+    the shape differs, or if a number is not finite or masked.
     """
+    if np.ma.is_masked(values):
+        raise ValueError(f"{name} holds a masked value: leave its row out")
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
         wanted in (-1, actual) for wanted, actual in zip(shape, array.shape, strict=True)

@@ -15,7 +15,12 @@ def test_a_frozen_array_is_a_copy_and_immutable():
         frozen[0, 0] = 1.0
 
 
-@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((2, 2)), [[0.0, np.nan, 0.0]]])
+MASKED = np.ma.masked_array(np.zeros((1, 3)), mask=[[False, True, False]])
+
+
+@pytest.mark.parametrize(
+    "values", [np.zeros(3), np.zeros((2, 2)), [[0.0, np.nan, 0.0]], pytest.param(MASKED, id="mask")]
+)
 def test_an_invalid_array_is_named(values):
     with pytest.raises(ValueError, match="field"):
         frozen_array(values, (-1, 3), "field")
