@@ -109,12 +109,13 @@ class FusedYaw:
         `known`, rad/s. At rest the field of the place is constant.
         """
         seconds = stamp - self._stamp
-        if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
+        if not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self.restart()
         self._stamp, self._up, self._rate, self._is_at_rest = stamp, up, rate, is_at_rest
         if known is not self._known:
             self._take_bias(known)
         if self._north is None:
+            self._propagate_another_direction(seconds)
             return
         if self._heading_variance and not self.has_external_yaw:
             self._end_headings()
@@ -132,6 +133,16 @@ class FusedYaw:
         self._filter.propagate(seconds, drift.share * walk, drift.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         drift.walk_variance += walk
+
+    def _propagate_another_direction(self, seconds: float) -> None:
+        """Propagate any level direction: the first compass sample may be older than this."""
+        up, turn = self._up.direction, scaled(self._rate, seconds)
+        level = levelled(propagated(self._path[-1].north, turn), up) if self._path else None
+        if level is None:
+            self._path.clear()
+            level = levelled((1.0, 0.0, 0.0), up) or levelled((0.0, 1.0, 0.0), up)
+        assert level is not None
+        self._path.append(_YawRecord(self._stamp, level, self._shift))
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep the estimate of the whole bias when the subtracted part changes."""
@@ -175,7 +186,7 @@ class FusedYaw:
             return
         self.detector.add(stamp, field, up.direction, up.variance, heading.yaw)
         if self._north is None:
-            self._begin(measured, heading)
+            self._begin(stamp, measured, up.direction, heading)
             return
         then = self._at(stamp)
         if then is None or stamp <= self._corrected:
@@ -304,15 +315,20 @@ class FusedYaw:
         """Variance of the compass's yaw by local disturbances, rad²."""
         return self.detector.amplitude_variance / self._level_share
 
-    def _begin(self, measured: Triple, heading: Heading) -> None:
-        self._north = measured
+    def _begin(self, stamp: float, measured: Triple, up: Triple, heading: Heading) -> None:
+        then = self._at(stamp)
+        if then is None:
+            return
+        turn = scaled(self._up.direction, yaw_between(then.north, measured, up))
+        self._north = propagated(self._path[-1].north, turn)
+        self._path.clear()
         variance = heading.yaw_variance - heading.lasting_variance
         bias = self._known.variance + FUSION.bias_sigma**2
         bent = self._disturbance_variance
         self._filter.begin(variance, min(bias, 1.0), bent, errors_of(heading.lasting))
         self._gyro_drift.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._start_stamp = self._stamp
-        self._path.append(_YawRecord(self._stamp, measured, self._shift))
+        self._path.append(_YawRecord(self._stamp, self._north, self._shift))
 
     def _change_disturbance(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""

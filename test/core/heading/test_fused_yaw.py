@@ -91,6 +91,23 @@ def driven(fusing, seed=1):
     return course
 
 
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_the_first_yaw_includes_the_turn_since_a_late_field_sample(late):
+    fusing, waiting = Fusing(), []
+
+    def deliver(sample, ride):
+        if isinstance(sample, ImuSample):
+            fusing(sample, ride)
+        else:
+            waiting.append(sample)
+        while waiting and waiting[0].stamp <= ride.stamp - late:
+            fusing(waiting.pop(0))
+
+    course = Course(deliver)
+    course.go(1.0, yaw_rate=0.8)
+    assert abs(fusing.errors_deg()[0]) < 3.0
+
+
 def test_there_is_no_yaw_before_a_field_sample_and_then_that_of_the_compass():
     fusing = Fusing()
     course = Course(lambda s, r: fusing(s, r) if isinstance(s, ImuSample) else None)
