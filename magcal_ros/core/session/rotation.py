@@ -94,7 +94,10 @@ class RotationPlan:
                 "turn from 0° to 360°"
             )
         if max(abs(self._commanded), 0.5 * self._path) > ROTATION.leeway * math.tau:
-            return f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete"
+            return (
+                f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete: "
+                f"{math.degrees(measured.turned):+.0f}° were measured"
+            )
         return ""
 
     @property

@@ -301,7 +301,7 @@ class TestBounds:
         )
         assert commanded < 1.55 * 2.0 * math.tau
         assert not conclusion.success
-        assert "were commanded, but the turn is not complete" in conclusion.message
+        assert "were commanded, but the turn is not complete: +2" in conclusion.message
 
     def test_the_deadline_ends_a_slow_turn_and_its_samples_are_used(self):
         scene = robot(gain=0.75, timeout=29.0)
