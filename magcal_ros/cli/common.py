@@ -140,9 +140,15 @@ def wrapped(text: str, width: int) -> str:
 
 
 PARAMETER = re.compile(
-    r"\b(reference\.)?(strength_ut|inclination_deg|declination_deg|mount_rpy_deg|soft_iron_gains)\b"
+    r"\b(reference\.)?(strength_ut|inclination_deg|declination_deg|mount_rpy_deg|soft_iron_gains"
+    r"|latitude_deg|longitude_deg)\b"
 )
-OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-gains"}
+OPTIONS = {
+    "mount_rpy_deg": "--mount-rpy-deg",
+    "soft_iron_gains": "--soft-iron-gains",
+    "latitude_deg": "--latitude",
+    "longitude_deg": "--longitude",
+}
 
 
 SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")

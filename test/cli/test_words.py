@@ -54,6 +54,7 @@ def test_a_terminal_gets_its_width_and_a_script_whole_lines(monkeypatch, out, li
         ("check reference.strength_ut,", "check --reference-strength-ut,"),
         ("and inclination_deg or", "and --reference-inclination-deg or"),
         ("with mount_rpy_deg", "with --mount-rpy-deg"),
+        ("reference.latitude_deg and longitude_deg", "--latitude and --longitude"),
         (
             "(NED): set `mount_rpy_deg: [180.0, 0.0, -90.0]`; or",
             "(NED): repeat with `--mount-rpy-deg 180 0 -90`; or",
