@@ -15,6 +15,7 @@ import numpy as np
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import UsageError
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
+from magcal_ros.core.session.external_heading import wrong_clock
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
@@ -159,10 +160,22 @@ class Bag:
         FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
         chosen = _named(self._path, self._reader, IMU_TYPE, topic)
-        read = list(self._read(chosen, lambda _, __, data: self._format.heading(data)))
+        late: list[float] = []  # time of recording minus stamp
+
+        def take(_: Connection, received: int, data: bytes) -> HeadingSample | str:
+            sample = self._format.heading(data)
+            late.extend([] if isinstance(sample, str) else [received * 1e-9 - sample.stamp])
+            return sample
+
+        read = list(self._read(chosen, take))
         found = [each for each in read if not isinstance(each, str)]
-        if not found:
-            why = read[-1] if read else "it is empty"
+        why = "" if found else read[-1] if read else "it is empty"
+        if found:
+            imu = self._read(
+                self._imu, lambda _, at, data: at * 1e-9 - self._format.header(data)[0]
+            )
+            why = wrong_clock(float(np.median(late)) - next(imu, math.inf), self.imu_topic)
+        if why:
             raise FileError(f"{printable(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 

@@ -13,7 +13,12 @@ from magcal_ros.core.heading.heading_tuning import FUSION
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
+from magcal_ros.core.session.external_heading import (
+    VALID_FOR,
+    ExternalHeading,
+    GyroTurn,
+    wrong_clock,
+)
 from magcal_ros.core.session.session_tuning import KNOWN, SESSION
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.calibration_store import Tell
@@ -29,8 +34,6 @@ if TYPE_CHECKING:
     from magcal_ros.core.smoother.headings import KnownHeadingMeasurement
 
 TOPIC = "heading"
-VALID_FOR = 1.0
-"""Seconds for which a heading on the topic is current."""
 REPORTED_MISSES = 10  # successive disagreements with the fused yaw from which there is a warning
 NO_DECLINATION = (
     "the heading refers to true north, and the declination here is not known: give "
@@ -149,14 +152,7 @@ class HeadingTopic:
     def _wrong_clock(self, stamp: float) -> str:
         """Say by how much a heading's stamp is not that of the IMU; empty if it is."""
         imu = self._magnetometer.inputs.imu
-        behind = self._pipeline.up.newest_stamp - stamp
-        if not VALID_FOR + imu.age() < abs(behind) < math.inf:
-            return ""
-        return (
-            f"their stamps are {abs(behind):.1f} s {'before' if behind > 0.0 else 'after'} those "
-            f"of {imu.topic}, so they are not used: check that they are times of measurement by "
-            "the same clock"
-        )
+        return wrong_clock(self._pipeline.up.newest_stamp - stamp, imu.topic, imu.age())
 
     def _fit(self, settings: Settings, collector: HeadingCollector) -> None:
         measurements, kept = collector.measurements, collector.kept

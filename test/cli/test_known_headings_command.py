@@ -92,7 +92,7 @@ def antenna(stamp, yaw):
     return "/heading", kinds["sensor_msgs/msg/Imu"](*parts)
 
 
-def driven(path, sign=1.0):
+def driven(path, sign=1.0, late=0.0):
     """A bag of a robot that turns slowly once, and the headings of its antennas."""
     ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=25.0)
     samples = []
@@ -100,7 +100,7 @@ def driven(path, sign=1.0):
         new = ride.step(0.09 if k > 50 else 0.0)
         samples += new
         if k % 5 == 0:
-            samples.append(antenna(ride.stamp, sign * ride.magnetic_yaw))
+            samples.append(antenna(ride.stamp - late, sign * ride.magnetic_yaw))
     assert any(isinstance(each, FieldSample) for each in samples)
     return write_bag(path, samples)
 
@@ -130,3 +130,12 @@ def test_mirrored_antennas_in_a_bag_are_named(fit, tmp_path):
     status, words = fit(bag, *options)
     assert status == 4
     assert "mirrored" in words
+
+
+@pytest.mark.parametrize(("late", "words"), [(5.0, "5.0 s before"), (-5.0, "5.0 s after")])
+def test_headings_in_a_bag_by_another_clock_are_refused(fit, tmp_path, late, words):
+    bag = driven(tmp_path / "bag", late=late)
+    options = "--imu", "/imu/data_raw", "--heading-topic", "/heading", "--north", "magnetic"
+    status, printed = fit(bag, *options)
+    assert status == 5
+    assert f"their stamps are {words} those of /imu/data_raw" in printed

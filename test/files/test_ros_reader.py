@@ -11,6 +11,7 @@ from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
 from magcal_ros.core.errors import UsageError
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.files import CDR, FileError, open_recording
 
 FIX = "sensor_msgs/msg/NavSatFix"
@@ -82,7 +83,8 @@ def test_a_fix_is_read_whatever_the_length_of_its_frame(length):
 
 
 def test_headings_and_currents_are_read_from_their_bytes(tmp_path, samples, with_ros):
-    turned = samples[0]._replace(orientation=(0.0, 0.0, math.sin(0.3), math.cos(0.3)))
+    newest = next(each for each in reversed(samples) if isinstance(each, ImuSample))
+    turned = newest._replace(orientation=(0.0, 0.0, math.sin(0.3), math.cos(0.3)))
     battery = STORE2.types["sensor_msgs/msg/BatteryState"](
         fix("b").header, 12.0, 20.0, -3.5, *[0.0] * 4, 0, 0, 0, True,
         np.zeros(0, np.float32), np.zeros(0, np.float32), "", "",

@@ -41,6 +41,24 @@ def mean_heading(received: Sequence[HeadingSample], is_true: bool) -> ExternalHe
     return ExternalHeading(yaw, max(each.sigma for each in received), is_true)
 
 
+VALID_FOR = 1.0
+"""Seconds for which a heading on a topic is current."""
+
+
+def wrong_clock(behind: float, imu: str, age: float = 0.0) -> str:
+    """Say that the stamps of headings are `behind` those of an IMU that came at the same time.
+
+    `behind` is in seconds, negative for stamps ahead, `age` the seconds since the IMU's newest
+    message. Empty if one clock may have stamped both; without a stamp `behind` is infinite.
+    """
+    if not VALID_FOR + age < abs(behind) < math.inf:
+        return ""
+    return (
+        f"their stamps are {abs(behind):.1f} s {'before' if behind > 0.0 else 'after'} those of "
+        f"{imu}, so they are not used: check that they are times of measurement by the same clock"
+    )
+
+
 METHOD = "known_headings"
 LARGEST_FIRST_SIGMA = math.radians(5.0)
 """Heading sigma below which a first calibration is put in force, radians."""
