@@ -226,7 +226,7 @@ class UpFilter:
         walked = GYRO.usual_bias_walk**2 * seconds
         sped = USUAL_SPEED**2 * (1.0 - fast**2)
         shoved = acceleration**2 * (1.0 - kept**2)
-        p.reshape(-1)[::13] += np.repeat([grown, walked, sped, shoved], 3)
+        p.reshape(-1)[::13] += (*(grown,) * 3, *(walked,) * 3, *(sped,) * 3, *(shoved,) * 3)
         self.covariance = p
 
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
@@ -283,7 +283,7 @@ class UpFilter:
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Update with three measurements; `reads` (3, 12) is their measurement matrix."""
         rows = reads @ self.covariance
-        gain = np.linalg.solve(reads @ rows.T + variance * IDENTITY, rows).T
+        gain = rows.T @ np.linalg.inv(reads @ rows.T + variance * IDENTITY)
         self.state += gain @ innovation
         p = self.covariance - gain @ rows
         self.covariance = 0.5 * (p + p.T)
