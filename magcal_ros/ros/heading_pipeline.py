@@ -285,9 +285,8 @@ class HeadingPipeline:
         """Return the IMU's frame."""
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
-    @property
     def complaints(self) -> list[str]:
-        """Why the calibrations in force may not fit the sensors, in words."""
+        """Return why the calibrations in force may not fit the sensors, in words."""
         found = [
             self.frames.doubt(number, store.origin.magnetometer_frame, store.calibration)
             for number, store in self._stores.items()

@@ -228,7 +228,7 @@ class Calibrator(Node):
             *self._known.antenna.complaints,
             *self._pipeline.headings.complaints(self._reference.field),
         ]
-        others = self._magnetometers.complaints() + self._pipeline.complaints
+        others = self._magnetometers.complaints() + self._pipeline.complaints()
         # In the log alone: an optional topic may have the name of something else on this robot.
         sensors = self._inputs.imu.topic, self._inputs.field.topic
         others += unreadable_topics(self, sensors)

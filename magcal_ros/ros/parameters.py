@@ -117,8 +117,8 @@ OF_ROS = "use_sim_time", "start_type_description_service", "qos_overrides"
 def given_names(name: str, arguments: Mapping[str, Any]) -> list[str]:
     """Return the names of the parameters that files and the command line give to a node.
 
-    rclpy tells them only by declaring them, which a short-lived node of the same name does.
-    `arguments` are the further arguments of the node.
+    rclpy shows them only where it declares them all, so a short-lived node of the same name does.
+    `arguments` are the other arguments of the node.
     """
     quiet = {"enable_rosout": False, "start_parameter_services": False}
     try:

@@ -151,9 +151,9 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
                 f"made for the magnetometer {made_for!r}, but the field now comes from {there!r}: "
                 "let one sensor publish, or calibrate this one"
             )
-        if first.pipeline.complaints:
+        if complaints := first.pipeline.complaints():
             level = max(level, DiagnosticStatus.WARN)
-            message = "; ".join([*first.pipeline.complaints, message])
+            message = "; ".join([*complaints, message])
     if store.problem:
         level, message = DiagnosticStatus.ERROR, store.problem
     return diagnostic("Calibration", message, values, level)

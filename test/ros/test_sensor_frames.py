@@ -102,14 +102,14 @@ def test_a_calibration_of_another_pose_is_reported(loaded):
     """The pose that `magcal doctor` names is given, but the old calibration is still loaded."""
     actor = loaded()
     node = actor._audience
-    assert not node._pipeline.complaints
+    assert not node._pipeline.complaints()
     node.set_parameters([Parameter("mount_rpy_deg", value=[0.0, 0.0, 90.0])])
-    (found,) = node._pipeline.complaints
+    (found,) = node._pipeline.complaints()
     assert re.search(
         r"'mag_link' is turned by (89|90)° against .* yaw 90°\): .* calibrate again", found
     )
     node.set_parameters([Parameter("mount_rpy_deg", value=[0.0, 0.0, 0.0])])
-    assert not node._pipeline.complaints
+    assert not node._pipeline.complaints()
 
 
 @pytest.mark.parametrize("text", ["[.nan, 0, 0]", "[180, 0]"])

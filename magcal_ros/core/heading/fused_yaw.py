@@ -115,7 +115,7 @@ class FusedYaw:
         if known is not self._known:
             self._take_bias(known)
         if self._north is None:
-            self._propagate_another_direction(seconds)
+            self._propagate_without_north(seconds)
             return
         if self._heading_variance and not self.has_external_yaw:
             self._end_headings()
@@ -134,8 +134,8 @@ class FusedYaw:
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         drift.walk_variance += walk
 
-    def _propagate_another_direction(self, seconds: float) -> None:
-        """Propagate any level direction: the first compass sample may be older than this."""
+    def _propagate_without_north(self, seconds: float) -> None:
+        """Propagate any level direction until a sample, which may be old, shows where north is."""
         up, turn = self._up.direction, scaled(self._rate, seconds)
         level = levelled(propagated(self._path[-1].north, turn), up) if self._path else None
         if level is None:
