@@ -92,14 +92,14 @@ class TestInTheNode:
 
     def test_the_newer_of_a_proposal_and_a_refused_turn_is_accepted(self, house, known):
         runner, turn_machine = house._self_calibration, house._control.turn
-        wait_until(lambda: house._store.calibration)
+        wait_until(lambda: runner.machine._in_force)
         _, calibration, _ = known
         proposed = replace(calibration, noise_field=1e-6)
         made = Decision(90.0, DecisionKind.PROPOSED, "it was better", proposed)
         runner.machine.note = lambda _: [made]
-        runner.machine.proposal = proposed
         outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(2)), ROBOT.knowledge())
         turn_machine.last_outcome = outcome
+        runner.machine.proposal = proposed
         runner._note(DriveResult(0.0))
         assert runner.proposal is proposed
         turn_machine.last_outcome = replace(outcome)  # of a later turn
