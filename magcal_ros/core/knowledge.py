@@ -20,6 +20,8 @@ STREET_LENGTH = 30.0
 
 CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
+UNKNOWN_YAW = math.pi**2 / 3.0  # variance of an unknown yaw, rad²
+
 
 @dataclass(frozen=True)
 class Belief:

@@ -267,7 +267,8 @@ class HeadingPipeline:
         if compass.motors is not None:
             motor_state = self.motors.motor_state(sample.stamp, compass.motors)
         rate = self.up.rate if self.up.is_propagated else None
-        return CompassReading.of(compass, sample, up, rate, motor_state)
+        turned = streams.turned_unchanged
+        return CompassReading.of(compass, sample, up, rate, motor_state, turned)
 
     def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""

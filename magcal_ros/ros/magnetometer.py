@@ -156,7 +156,7 @@ class Magnetometer:
                 self.out = FieldOutput(self._node, self._topic)
             self.look_at_sensors()
         sample = arrived.sample
-        if not streams.add_field(sample):
+        if not streams.add_field(sample, self.pipeline.up.turned):
             return
         self.owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:

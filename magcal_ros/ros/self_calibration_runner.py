@@ -46,7 +46,8 @@ class SelfCalibrationRunner:
 
     def on_field(self, sample: FieldSample) -> None:
         """Take a field sample, and the state of the vehicle."""
-        self._pairer.offer(sample)
+        if not self._magnetometer.inputs.streams.is_repeated:
+            self._pairer.offer(sample)
         for pair in self._pairer.take():
             speed = self._pipeline.travel.estimator.speed_near(pair.field.stamp)
             if self.machine.add(pair, speed):

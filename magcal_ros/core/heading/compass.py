@@ -18,6 +18,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
+from magcal_ros.core.knowledge import UNKNOWN_YAW
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
 
@@ -243,6 +244,10 @@ class CompassReading(NamedTuple):
     up: Up | None  # of the same moment; None if no IMU sample is near enough
     heading: Heading | None  # None if field or up have no direction
     rate: Triple | None  # without the gyro's bias, rad/s, body axes; None without a usable gyro
+    turned_unchanged: float = 0.0
+    """Angle by which the robot has turned since this value of the field first came, radians. A
+    magnetometer that is frozen, coarse or read too often repeats an old value: the error of the
+    yaw may be as large."""
 
     @classmethod
     def of(
@@ -252,6 +257,7 @@ class CompassReading(NamedTuple):
         up: Up | None,
         rate: Triple | None,
         motor_state: MotorState | None = None,
+        turned_unchanged: float = 0.0,
     ) -> CompassReading:
         """Return a field sample, corrected by a compass.
 
@@ -262,4 +268,13 @@ class CompassReading(NamedTuple):
             field, motors = compass.at_rest(sample.stamp, sample.field, rate, motor_state)
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
-        return cls(sample.stamp, field, up, heading, rate)
+        reading = cls(sample.stamp, field, up, heading, rate, turned_unchanged)
+        if heading is not None and turned_unchanged:
+            variance = heading.yaw_variance + reading.unchanged_variance
+            reading = reading._replace(heading=heading._replace(yaw_variance=variance))
+        return reading
+
+    @property
+    def unchanged_variance(self) -> float:
+        """Variance of the yaw because the value may be an old one, rad²."""
+        return min(self.turned_unchanged**2, UNKNOWN_YAW)

@@ -14,8 +14,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import level_field_covariance
 from magcal_ros.core.heading.heading_tuning import DISTURBANCE, FUSION
-from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
-from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG
+from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG, UNKNOWN_YAW
 
 DIP_SIGMA = math.radians(INCLINATION_SIGMA_DEG)
 MOST_ODDS = 30.0  # largest log odds of added iron against a wrong yaw

@@ -35,12 +35,11 @@ from magcal_ros.core.heading.yaw_filter import (
     BY_COMPASS,
     BY_REST,
     BY_YAW,
-    UNKNOWN_YAW,
     GyroDrift,
     YawFilter,
     errors_of,
 )
-from magcal_ros.core.knowledge import CLEAR
+from magcal_ros.core.knowledge import CLEAR, UNKNOWN_YAW
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import enclosing
 from magcal_ros.core.up.filter import GYRO

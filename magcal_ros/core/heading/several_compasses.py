@@ -112,6 +112,11 @@ class _CompassState:
         return self.reading.heading
 
     @property
+    def unchanged_variance(self) -> float:
+        """Variance of the yaw because its last value may be an old one, rad²."""
+        return 0.0 if self.reading is None else self.reading.unchanged_variance
+
+    @property
     def own_variance(self) -> float:
         """Variance of the yaw by calibration and noise, rad²; tilt is common to all."""
         own = self.heading.lasting_variance + self.heading.noise_variance
@@ -264,7 +269,8 @@ class SeveralCompasses:
         member.extra_variance = member.deviation.add(
             self._stamp, reading.field, *reading.up, turned=turned
         )
-        return CompassYaw(number, seen, own, member.own_variance + member.extra_variance)
+        variance = member.own_variance + member.extra_variance + member.unchanged_variance
+        return CompassYaw(number, seen, own, variance)
 
     def _silence(self, member: _CompassState) -> str:
         if not self._is_new(member.arrived):
@@ -326,18 +332,20 @@ class SeveralCompasses:
         heading = self.reference_compass.heading(reading.field, up.direction, up.variance)
         if heading is None:
             return reading._replace(heading=None)
-        lasting = differing = noise = bent = 0.0
+        lasting = differing = noise = bent = old = 0.0
         for share, each in zip(shares, kept, strict=True):
-            own = self._members[each.number].heading
+            member = self._members[each.number]
+            own = member.heading
             lasting += share**2 * own.lasting_variance
             differing += share**2 * self._disagreement.variance
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
-            bent += share**2 * self._members[each.number].extra_variance * (len(kept) > 1)
+            bent += share**2 * member.extra_variance * (len(kept) > 1)
+            old += share**2 * member.unchanged_variance
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return reading._replace(
             heading=heading._replace(
-                yaw_variance=heading.variance_by_tilt + lasting + differing + noise + bent,
+                yaw_variance=heading.variance_by_tilt + lasting + differing + noise + bent + old,
                 lasting_variance=lasting + differing,
                 noise_variance=noise,
                 lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(differing)),

@@ -13,10 +13,8 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.heading.compass import CERTAIN
 from magcal_ros.core.heading.heading_tuning import FUSION
+from magcal_ros.core.knowledge import UNKNOWN_YAW
 from magcal_ros.core.up.filter import GYRO
-
-UNKNOWN_YAW = math.pi**2 / 3.0
-"""Variance of an unknown yaw, rad²."""
 
 
 def errors_of(lasting: tuple[float, ...]) -> FloatArray:

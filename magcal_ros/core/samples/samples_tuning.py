@@ -56,6 +56,8 @@ class DiagnosisTuning:
     worth_a_word: float = 0.02  # fraction of dropped samples from which they are reported
     most_repeats: float = 0.9
     """Fraction of repeated field values from which the sensor is frozen or the robot at rest."""
+    frozen_turn: float = math.radians(20.0)
+    """Radians. Turn of the robot during which no working magnetometer repeats one value."""
     largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
     ahead_in_gaps: float = 1.5
     """Largest lead of the field over the IMU by jitter, in `max_gap`."""

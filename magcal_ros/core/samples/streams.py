@@ -107,10 +107,11 @@ class Streams:
 
     The IMU is not interpolated across gaps longer than `max_gap`, seconds, and a field sample
     further from the newest IMU sample has no up vector. `is_repeated` is whether the newest field
-    sample has the same values as the previous one. `lead_at_imu` and `lead_at_field` are the newest
-    field stamp minus the newest IMU stamp, when the newest sample of each came, seconds; infinite
-    while one is missing. `largest_field` is the size of the last field that was too large, tesla as
-    published; zero if none was.
+    sample has the same values as the previous one, and `turned_unchanged` the largest angle by
+    which the robot has turned since these values first came, radians. `lead_at_imu` and
+    `lead_at_field` are the newest field stamp minus the newest IMU stamp, when the newest sample of
+    each came, seconds; infinite while one is missing. `largest_field` is the size of the last field
+    that was too large, tesla as published; zero if none was.
     """
 
     def __init__(self, max_gap: float) -> None:
@@ -123,6 +124,7 @@ class Streams:
         self._last_rate = -math.inf
         self._last_field = (math.nan, math.nan, math.nan)
         self.is_repeated = False
+        self._turned = self.turned_unchanged = 0.0
         self.largest_field = 0.0
         self.lead_at_imu = -math.inf
         self.lead_at_field = math.inf
@@ -156,11 +158,11 @@ class Streams:
         self.lead_at_imu = self.field_stamps.newest - sample.stamp
         return True
 
-    def add_field(self, sample: FieldSample) -> bool:
+    def add_field(self, sample: FieldSample, turned: float = 0.0) -> bool:
         """Take a field sample; returns whether a corrected field may be made of it.
 
         A sample with the values of the previous one is counted as repeated, but usable: at rest,
-        quantised values may repeat.
+        quantised values may repeat. `turned` is the turn by the gyro so far, radians.
         """
         reason = _fault(sample.field, STREAMS.largest_field)
         if reason is DropReason.TOO_LARGE:
@@ -173,6 +175,9 @@ class Streams:
         self.is_repeated = sample.field == self._last_field
         if self.is_repeated:
             self.field_drops[DropReason.REPEATED] += 1
+            self.turned_unchanged = max(self.turned_unchanged, abs(turned - self._turned))
+        else:
+            self._turned, self.turned_unchanged = turned, 0.0
         self._last_field = sample.field
         return True
 

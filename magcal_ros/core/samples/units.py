@@ -236,7 +236,13 @@ def complaints(streams: Streams, imu: InputCounts, mag: InputCounts) -> list[str
             for drop, words in all_words.items()
             if counts.drops[drop] > COMPLAINTS.worth_a_word * max(counts.messages, 1)
         ]
-    if mag.drops[DropReason.REPEATED] > COMPLAINTS.most_repeats * max(mag.messages, 1):
+    if streams.turned_unchanged > COMPLAINTS.frozen_turn:
+        found.append(
+            f"{mag.topic} repeats one value although the robot has turned by "
+            f"{math.degrees(streams.turned_unchanged):.0f}°: the sensor is frozen, restart its "
+            "driver"
+        )
+    elif mag.drops[DropReason.REPEATED] > COMPLAINTS.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     for counts, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
         found += [f"{counts.topic}: {words}"] if (words := stamps.bursts_in_words) else []

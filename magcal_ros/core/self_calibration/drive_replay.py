@@ -230,7 +230,8 @@ def replay_drive(
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
             due = last + MAP_EVERY
-        pairer.offer(sample)
+        if not streams.is_repeated:
+            pairer.offer(sample)
         for pair in pairer.take():
             if not machine.add(pair, speed):
                 continue

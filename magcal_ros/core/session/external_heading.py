@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.heading_tuning import FUSION
-from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
+from magcal_ros.core.knowledge import UNKNOWN_YAW
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import HeadingSample
 from magcal_ros.core.session.session_tuning import KNOWN

@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     distance,
+    dot,
     interpolate,
     length,
     propagated,
@@ -135,6 +136,8 @@ class UpFollower:
         self._dead_axes = DeadAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
+        self.turned = 0.0
+        """Turn about up by the gyro, radians, without rests and what the bias may explain."""
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
 
     @property
@@ -232,6 +235,13 @@ class UpFollower:
             self._levelling = Levelling(force)
         now = propagation if self._levelling is None else self._levelling
         self._ups.append((stamp, now.up, now.variance))
+        if follows and self.is_propagated and not self.is_at_rest:
+            self._count_turn(seconds)
+
+    def _count_turn(self, seconds: float) -> None:
+        rate = dot(self.mean_rate, self._ups[-1][1])
+        sure = max(0.0, abs(rate) - math.sqrt(self.gyro_bias.variance))
+        self.turned += math.copysign(sure * seconds, rate)
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
         """Use the gyro's bias as the fit of a calibration found it.

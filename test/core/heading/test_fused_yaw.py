@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from examples import examples
+from fusing import CALIBRATED, Fusing
 from hypothesis import given
 from hypothesis import strategies as st
 from long_form import first_of
@@ -14,75 +15,15 @@ from sample_results import EVIDENCE
 from simulated import Vehicle, city, simulated_drive, travel
 
 from magcal_ros.core import Calibration, Compass, Correction
-from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading import FUSION, PATIENCE, FieldUse, FusedYaw
-from magcal_ros.core.samples import ImuSample, SpeedSample, Streams
-from magcal_ros.core.up import GyroBias, Up, UpFollower
+from magcal_ros.core.samples import ImuSample, SpeedSample
+from magcal_ros.core.up import GyroBias, Up
 from magcal_ros.files import read_csv_folder
 
-CALIBRATED = Calibration(
-    ROBOT.true_correction,
-    np.zeros((12, 12)),
-    ROBOT.noise_field,
-    0.005,
-    ROBOT.strength,
-    ROBOT.inclination,
-    EVIDENCE,
-)
 UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)
 IRON = np.array([0.3 * ROBOT.strength, 0.0, 0.0])
 """Tesla to the east: it turns the compass by 35 degrees."""
-
-
-class Fusing:
-    """A listener that processes messages as the node does."""
-
-    def __init__(self, calibration=CALIBRATED, patience=PATIENCE):
-        self.compass = Compass(calibration)
-        self.streams = Streams(0.2)
-        self.follower = UpFollower()
-        self.fused = FusedYaw(calibration, patience)
-        self.raw, self.found, self.truth = [], [], []
-        self.estimator = TravelEstimator()
-
-    def __call__(self, sample, ride=None):
-        if isinstance(sample, ImuSample):
-            self.on_imu(sample, ride)
-        elif self.streams.add_field(sample):
-            self.follower.add_field(sample.stamp, sample.field)
-            up = self.follower.at(sample.stamp, 0.2)
-            field = self.compass.correct(sample.field)
-            heading = up and self.compass.heading(field, up.direction, up.variance)
-            if heading:
-                self.raw.append((sample.stamp, heading.yaw))
-                self.fused.correct(sample.stamp, field, up, heading)
-
-    def on_imu(self, sample, ride):
-        if not self.streams.add_imu(sample):
-            return
-        own = self.estimator.add_imu(sample, self.follower.gyro_bias.rate)
-        self.follower.add(sample, own)
-        up = self.follower.at(sample.stamp, 0.0)
-        if up is None or not self.follower.is_propagated:
-            self.fused.restart()
-            return
-        follower = self.follower
-        self.fused.propagate(
-            sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-        )
-        heading = self.fused.heading()
-        if heading is not None:
-            self.found.append((sample.stamp, heading.yaw, heading.yaw_variance))
-            if ride is not None:
-                self.truth.append(ride.magnetic_yaw)
-
-    def errors_deg(self):
-        yaw = np.array(self.found)[:, 1]
-        return np.degrees(wrap_angle(yaw - np.array(self.truth)))
-
-    def sigmas_deg(self):
-        return np.degrees(np.sqrt(np.array(self.found)[:, 2]))
 
 
 def driven(fusing, seed=1):
@@ -222,7 +163,7 @@ def test_in_streets_the_yaw_is_better_than_the_compass_with_a_correct_sigma():
         errors = np.degrees(wrap_angle(yaws - np.interp(stamps, drive.time, drive.imu_yaw)))
         squares.append(np.mean(errors**2))
         nees.append(np.mean((errors / fusing.sigmas_deg()) ** 2))
-        stamps, yaws = np.array(fusing.raw).T
+        stamps, yaws, _ = np.array(fusing.raw).T
         truth = np.interp(stamps, drive.time, drive.imu_yaw)
         raws.append(np.mean(np.degrees(wrap_angle(yaws - truth)) ** 2))
     print(f"streets: fused {np.sqrt(squares)}, compass {np.sqrt(raws)} deg RMS, NEES {nees}")

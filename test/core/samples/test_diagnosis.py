@@ -92,3 +92,16 @@ def test_a_fault_after_a_long_correct_time_is_reported():
     now = InputCounts("/mag", 10**8 + 3000, Counter({DropReason.ZERO: 3003}))
     assert stated(mag=now) == []
     assert stated(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]
+
+
+def test_a_value_that_stays_while_the_robot_turns_is_that_of_a_frozen_sensor():
+    both = streams()
+    for k in range(5):
+        both.add_field(FieldSample(2e5 + k, (2e-5, 0.0, -4e-5)), 0.3 * k)
+    (words,) = [each for each in stated(both) if "repeats" in each]
+    assert words == (
+        "/mag repeats one value although the robot has turned by 69°: the sensor is frozen, "
+        "restart its driver"
+    )
+    both.add_field(FieldSample(3e5, (2e-5, 1e-9, -4e-5)), 1.5)
+    assert not any("repeats" in each for each in stated(both))

@@ -200,6 +200,14 @@ class TestFieldDrops:
         assert not streams.add_field(sample)
         assert streams.field_drops == {reason: 1}
 
+    def test_the_largest_turn_with_one_value_is_known(self):
+        streams, seen = Streams(MAX_GAP), []
+        values = [1e-5, 1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 1e-5]
+        for k, (value, turned) in enumerate(zip(values, [5, 5, 7, 4, 1, 0, 0], strict=True)):
+            assert streams.add_field(mag(1.0 + k, (value, 0.0, 0.0)), float(turned))
+            seen.append(streams.turned_unchanged)
+        assert seen == [0, 0, 2, 2, 0, 1, 0]
+
     def test_a_field_up_to_the_limit_is_used(self):
         assert Streams(MAX_GAP).add_field(mag(1.0, (0.0, 0.0, 0.999 * STREAMS.largest_field)))
 
