@@ -242,6 +242,12 @@ def check_heading_options(options: argparse.Namespace) -> None:
 def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:
     """Calibrate at known headings; None if no headings are given."""
     is_true, topic = options.north == "true", options.heading_topic
+    is_given = bool(topic or options.heading_deg)
+    if is_given and knowledge.reference.to_magnetic(is_true) is None:
+        raise UsageError(
+            "headings to true north need the declination: give --latitude and --longitude, or "
+            "--reference-declination-deg, or headings to magnetic north with --north magnetic"
+        )
     if topic:
         with opened(options, options.recordings[0]) as source:
             readings, headings = tuple(RepairedReadings(source)), tuple(source.headings(topic))

@@ -65,6 +65,7 @@ def test_a_bearing_instead_of_a_yaw_is_named(fit, recordings):
     [
         (["--heading-deg", 10, 20, 30], "--north true or --north magnetic"),
         (["--heading-deg", 10, "--north", "true"], "1 headings for 3 recordings"),
+        (["--heading-deg", 10, 20, 30, "--north", "true"], "give --latitude and --longitude"),
         (["--north", "true"], "give --heading-deg or --heading-topic"),
         (["--sigma-deg", 1], "--sigma-deg is only for headings"),
         (
