@@ -174,8 +174,7 @@ def headings(
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp
                     compass.use_motors(learning.motors)
-            rate = up.rate if up.is_propagated else None
-            seen = CompassReading.of(compass, sample, up.at(sample.stamp, 0.2), rate, now)
+            seen = CompassReading.of(compass, sample, up, 0.2, now)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

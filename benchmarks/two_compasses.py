@@ -207,8 +207,8 @@ class Listener:
     def _on_field(self, number: int, sample: FieldSample, now: float) -> None:
         if number == 0 or len(self.compasses) == 1:
             self.follower.add_field(sample.stamp, sample.field)
-        up = self.follower.at(sample.stamp, STREAMS.max_gap)
-        moment = CompassReading.of(self.compasses[number], sample, up, self.follower.rate)
+        compass, gap = self.compasses[number], STREAMS.max_gap
+        moment = CompassReading.of(compass, sample, self.follower, gap)
         if len(self.compasses) > 1:
             joined = self.several.add(number, moment, now, self.fused)
             if joined is None:

@@ -262,13 +262,11 @@ class HeadingPipeline:
 
     def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""
-        up = self.up.at(sample.stamp, streams.max_gap)
         motor_state = None
         if compass.motors is not None:
             motor_state = self.motors.motor_state(sample.stamp, compass.motors)
-        rate = self.up.rate if self.up.is_propagated else None
-        turned = streams.turned_unchanged
-        return CompassReading.of(compass, sample, up, rate, motor_state, turned)
+        at = self.up, streams.max_gap
+        return CompassReading.of(compass, sample, *at, motor_state, streams.turned_unchanged)
 
     def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""

@@ -161,7 +161,7 @@ class Magnetometer:
         self.owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
             reading = self.pipeline.reading_of(self.compass, sample, streams)
-            self.out.publish(reading.field, arrived, self.pipeline.body_frame())
+            self.out.publish(reading.measured, arrived, self.pipeline.body_frame())
             self.pipeline.take(self.number, reading, arrived)
         if not streams.is_repeated:
             self.control.add(sample)

@@ -38,12 +38,14 @@ class Fusing:
             self.on_imu(sample, ride)
         elif self.streams.add_field(sample, self.follower.turned):
             self.follower.add_field(sample.stamp, sample.field)
-            up, unchanged = self.follower.at(sample.stamp, 0.2), self.streams.turned_unchanged
-            reading = CompassReading.of(self.compass, sample, up, None, turned_unchanged=unchanged)
+            unchanged = self.streams.turned_unchanged
+            reading = CompassReading.of(
+                self.compass, sample, self.follower, 0.2, turned_unchanged=unchanged
+            )
             heading = reading.heading
             if heading:
                 self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
-                self.fused.correct(sample.stamp, reading.field, up, heading)
+                self.fused.correct(sample.stamp, reading.field, reading.up, heading)
 
     def on_imu(self, sample, ride):
         if not self.streams.add_imu(sample):

@@ -103,7 +103,8 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         Figure.LATENCY,
         (20.0, 100.0, 1000.0),
         "the stamps of field and gyro differ by",
-        "stamp both in the driver when they are measured",
+        "the heading is corrected for this; better let the driver stamp both when they are "
+        "measured, and calibrate again",
         unit=" ms",
     ),
     Bound(

@@ -16,11 +16,11 @@ from magcal_ros.core.calibration.correction import PARAMETERS, MotorField, Motor
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus
+from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus, propagated
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
 from magcal_ros.core.knowledge import UNKNOWN_YAW
 from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.up.follower import Up
+from magcal_ros.core.up.follower import Up, UpFollower
 
 Quaternion = tuple[float, float, float, float]
 
@@ -113,6 +113,8 @@ class Compass:
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
         self._local = local**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
+        self.latency = calibration.evidence.figure(Figure.LATENCY, 0.0)
+        """Seconds by which the stamps of the field are late, against those of the gyro."""
         self.use_motors(calibration.motors)
 
     def use_motors(self, motors: MotorField | None) -> None:
@@ -240,7 +242,8 @@ class CompassReading(NamedTuple):
     """A field sample, corrected by a calibration."""
 
     stamp: float  # of the field message, seconds
-    field: Triple  # corrected, body axes, tesla
+    measured: Triple  # the corrected field in the body axes of its measurement, tesla
+    field: Triple  # the same in those of the stamp: the measurement is earlier by a latency
     up: Up | None  # of the same moment; None if no IMU sample is near enough
     heading: Heading | None  # None if field or up have no direction
     rate: Triple | None  # without the gyro's bias, rad/s, body axes; None without a usable gyro
@@ -254,21 +257,25 @@ class CompassReading(NamedTuple):
         cls,
         compass: Compass,
         sample: FieldSample,
-        up: Up | None,
-        rate: Triple | None,
+        follower: UpFollower,
+        max_gap: float,
         motor_state: MotorState | None = None,
         turned_unchanged: float = 0.0,
     ) -> CompassReading:
-        """Return a field sample, corrected by a compass.
+        """Return a field sample, corrected by a compass, and up by a follower.
 
-        Unless `motor_state` is given, the motors are assumed to be off.
+        `max_gap` is as for `UpFollower.at`. Unless `motor_state` is given, the motors are assumed
+        to be off.
         """
-        field, motors, heading = compass.correct(sample.field), None, None
+        stamp, up = sample.stamp, follower.at(sample.stamp, max_gap)
+        rate = follower.rate if follower.is_propagated else None
+        measured, motors, heading = compass.correct(sample.field), None, None
         if motor_state is not None:
-            field, motors = compass.at_rest(sample.stamp, sample.field, rate, motor_state)
+            measured, motors = compass.at_rest(stamp, sample.field, rate, motor_state)
+        field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
-        reading = cls(sample.stamp, field, up, heading, rate, turned_unchanged)
+        reading = cls(stamp, measured, field, up, heading, rate, turned_unchanged)
         if heading is not None and turned_unchanged:
             variance = heading.yaw_variance + reading.unchanged_variance
             reading = reading._replace(heading=heading._replace(yaw_variance=variance))

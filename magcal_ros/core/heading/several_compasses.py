@@ -100,7 +100,7 @@ class _CompassState:
 
     def take(self, reading: CompassReading, now: float) -> None:
         """Add a message of this magnetometer."""
-        if self.reading is None or reading.field != self.reading.field:
+        if self.reading is None or reading.measured != self.reading.measured:
             self.changed = now
         self.reading, self.arrived = reading, now
 

@@ -89,8 +89,7 @@ def _yaws(
     compass = Compass(calibration)
     for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
-            up = replay.up.at(sample.stamp, STREAMS.max_gap)
-            heading = CompassReading.of(compass, sample, up, None).heading
+            heading = CompassReading.of(compass, sample, replay.up, STREAMS.max_gap).heading
             if heading is not None:
                 yield sample.stamp, heading.yaw
 

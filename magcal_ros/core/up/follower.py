@@ -17,6 +17,8 @@ from magcal_ros.core.geometry.vec3 import (
     dot,
     interpolate,
     length,
+    minus,
+    plus,
     propagated,
     scaled,
     unit_triple,
@@ -122,6 +124,15 @@ class Up(NamedTuple):
     variance: float
 
 
+class _UpRecord(NamedTuple):
+    """Up at a stamp (s), and the sum of the body's turns until then."""
+
+    stamp: float
+    up: Triple
+    variance: float
+    turns: Triple  # rotation vectors by the gyro without its bias, radians, body axes
+
+
 class UpFollower:
     """Estimates up during any motion.
 
@@ -138,7 +149,8 @@ class UpFollower:
         self._last: ImuSample | None = None
         self.turned = 0.0
         """Turn about up by the gyro, radians, without rests and what the bias may explain."""
-        self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
+        self._turns = ZERO
+        self._ups: deque[_UpRecord] = deque(maxlen=STREAMS.remembered)
 
     @property
     def is_propagated(self) -> bool:
@@ -187,12 +199,12 @@ class UpFollower:
     @property
     def newest(self) -> Triple | None:
         """Up after the newest sample, unit, body axes; None before the first."""
-        return self._ups[-1][1] if self._ups else None
+        return self._ups[-1].up if self._ups else None
 
     @property
     def newest_stamp(self) -> float:
         """Stamp of the newest sample, seconds; minus infinity before the first."""
-        return self._ups[-1][0] if self._ups else -math.inf
+        return self._ups[-1].stamp if self._ups else -math.inf
 
     def add_field(self, stamp: float, field: Triple) -> None:
         """Add a raw field sample, whose rotation separates a slow turn from a gyro bias.
@@ -234,14 +246,16 @@ class UpFollower:
         else:
             self._levelling = Levelling(force)
         now = propagation if self._levelling is None else self._levelling
-        self._ups.append((stamp, now.up, now.variance))
-        if follows and self.is_propagated and not self.is_at_rest:
-            self._count_turn(seconds)
+        if follows and self.is_propagated:
+            self._count_turn(seconds, now.up)
+        self._ups.append(_UpRecord(stamp, now.up, now.variance, self._turns))
 
-    def _count_turn(self, seconds: float) -> None:
-        rate = dot(self.mean_rate, self._ups[-1][1])
-        sure = max(0.0, abs(rate) - math.sqrt(self.gyro_bias.variance))
-        self.turned += math.copysign(sure * seconds, rate)
+    def _count_turn(self, seconds: float, up: Triple) -> None:
+        self._turns = plus(self._turns, scaled(self.mean_rate, seconds))
+        if not self.is_at_rest:
+            rate = dot(self.mean_rate, up)
+            sure = max(0.0, abs(rate) - math.sqrt(self.gyro_bias.variance))
+            self.turned += math.copysign(sure * seconds, rate)
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
         """Use the gyro's bias as the fit of a calibration found it.
@@ -270,17 +284,34 @@ class UpFollower:
         found = enclosing(self._ups, stamp)
         if found is None:
             return None
-        (begin, up, variance), after = found
+        (begin, up, variance, _), after = found
         since = stamp - begin
         if since > 0.0:
-            span = since if after is None else after[0] - begin
+            span = since if after is None else after.stamp - begin
             if span > max_gap:
                 return None
             if after is None:
                 up = propagated(up, scaled(self.rate, since))
             else:
-                up = interpolate(up, after[1], since / span)
+                up = interpolate(up, after.up, since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
+
+    def turn_between(self, start: float, end: float) -> Triple:
+        """Return the rotation vector of the body between two near stamps, radians, body axes.
+
+        By the gyro without its bias, constant after the newest sample; zero where it is unknown.
+        """
+        before, after = self._turns_at(start), self._turns_at(end)
+        return ZERO if before is None or after is None else minus(after, before)
+
+    def _turns_at(self, stamp: float) -> Triple | None:
+        found = enclosing(self._ups, stamp)
+        if found is None:
+            return None
+        (begin, _, _, turns), after = found
+        if after is None:
+            return plus(turns, scaled(self.rate, stamp - begin))
+        return interpolate(turns, after.turns, (stamp - begin) / (after.stamp - begin))
 
 
 def has_gyro(sample: ImuSample) -> bool:

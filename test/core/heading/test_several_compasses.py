@@ -82,8 +82,7 @@ class Scene:
             self.take(number, FieldSample(stamp, tuple(raw)))
 
     def take(self, number, sample):
-        up = self.up.at(sample.stamp, 0.2)
-        moment = CompassReading.of(self.compasses[number], sample, up, self.up.rate)
+        moment = CompassReading.of(self.compasses[number], sample, self.up, 0.2)
         joined = self.several.add(number, moment, self.imu.stamp, self.fused)
         if joined is not None and joined.heading is not None:
             if self.fused is not None:
@@ -139,12 +138,8 @@ def test_a_single_magnetometer_gives_its_own_heading():
     scene = Scene({1: calibration(ROBOTS[1])})
     compass = Compass(calibration(ROBOTS[1]))
     scene.run(1.0)
-    moment = CompassReading.of(
-        compass,
-        FieldSample(scene.imu.stamp, (2e-5, 1e-5, 3e-5)),
-        scene.up.at(scene.imu.stamp, 0.2),
-        None,
-    )
+    sample = FieldSample(scene.imu.stamp, (2e-5, 1e-5, 3e-5))
+    moment = CompassReading.of(compass, sample, scene.up, 0.2)
     joined = scene.several.add(1, moment, scene.imu.stamp, scene.fused)
     assert np.allclose(joined.field, moment.field, atol=1e-12)
     assert joined.heading.yaw_variance == pytest.approx(moment.heading.yaw_variance)
