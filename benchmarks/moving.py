@@ -22,6 +22,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.vec3 import propagated
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
@@ -92,7 +93,8 @@ class Walk:
         up = self._up(sample.stamp)
         if up is None:
             return
-        field = self._compass.correct(sample.field)
+        late = self._follower.turn_between(sample.stamp - self._compass.latency, sample.stamp)
+        field = propagated(self._compass.correct(sample.field), late)
         heading = self._compass.heading(field, up.direction, up.variance)
         if heading is not None:
             self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))

@@ -284,6 +284,7 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.SOFT_IRON: ("soft iron was fitted (1 yes, 0 no)", ""),
     Figure.GYRO_CARRIED: ("the turn by the gyro explains the samples (1 yes, 0 no)", ""),
     Figure.NOT_CONVERGED: ("the optimisation has not converged (1 yes, 0 no)", ""),
+    Figure.GYRO_SCALE: ("scale error of the gyro about up, corrected", "%"),
     Figure.ITERATIONS: ("steps of the optimisation", ""),
     Figure.ON_THE_SPOT: ("probability that the robot turned on the spot", ""),
     Figure.TURNS: ("turns that were joined", ""),

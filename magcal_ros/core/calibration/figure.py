@@ -72,6 +72,8 @@ class Figure(str, Enum):
     """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"
     """Corrected latency of the field against the gyro, seconds; absent if not observable."""
+    GYRO_SCALE = "gyro_scale"
+    """Relative error of the gyro's rate about up; absent without a gyro."""
     SIDEWAYS_ACCELERATION = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import (
@@ -77,6 +78,7 @@ class FusedYaw:
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
         self._strength = calibration.strength
+        self._gyro_scale = calibration.evidence.figure(Figure.GYRO_SCALE, 0.0)
 
     def restart(self) -> None:
         """Forget north until the next compass sample."""
@@ -84,13 +86,12 @@ class FusedYaw:
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
-        self._shift = self._seconds_unlearned = self._drift = 0.0
+        self._shift = self._drift = self._seconds_unlearned = self._contradicted_seconds = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
         self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
         self.last_heading_gap = 0.0  # last heading of another device minus the yaw, radians
-        self._contradicted_seconds = 0.0
         self.field_jump: FieldJump | None = None
         """Two hypotheses of the last field that overruled the yaw; None if none did."""
         self._jump_shift = 0.0
@@ -118,7 +119,7 @@ class FusedYaw:
             return
         if self._heading_variance and not self.has_external_yaw:
             self._end_headings()
-        bias = self._filter.bias
+        bias = self._filter.bias + self._gyro_scale * dot(rate, up.direction)
         turn = scaled(minus(rate, scaled(up.direction, bias)), seconds)
         north = propagated(self._north, turn)
         level = levelled(north, up.direction)

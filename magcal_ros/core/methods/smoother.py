@@ -357,6 +357,9 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     }
     if best.model.priors.scale[AT["latency"]].any():
         figures[Figure.LATENCY] = float(shared[AT["latency"]][0])
+    if len(best.model.priors.rows_of_group["gyro_matrix"]) == 9:
+        up = course.axes[:, 2]
+        figures[Figure.GYRO_SCALE] = float(up @ shared[AT["gyro_matrix"]].reshape(3, 3) @ up)
     # The absence of a motors' field needs a rest.
     if size > CLEAR * doubt or course.still.any():
         figures[Figure.MOTOR_FIELD] = size / MICROTESLA if size > CLEAR * doubt else 0.0
