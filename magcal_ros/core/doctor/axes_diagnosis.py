@@ -96,7 +96,7 @@ def _is_flipped(
     """Return whether gravity's sign is wrong, or else the IMU is upside down; None if unclear."""
     if given is None or other is None:
         return None
-    turned = given.turned(given.best)
+    turned = float(given.turned[given.best])
     if turned_left is not None and abs(turned) > AXES.least_turn:
         # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
@@ -232,14 +232,14 @@ def diagnose_axes(
 ) -> AxesDiagnosis:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
     misfit, given = hypotheses.misfit, hypotheses.as_given
-    if hypotheses.rms[hypotheses.best] > AXES.worst_fit:
+    if hypotheses.fit.rms[hypotheses.best] > AXES.worst_fit:
         finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return AxesDiagnosis((finding,))
     remains = misfit < AXES.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
         # The user may have turned the wrong way while all sensors are right.
-        turned = np.array([hypotheses.turned(k) for k in range(len(misfit))])
+        turned = hypotheses.turned
         contrary = (np.abs(turned) > AXES.least_turn) & ((turned > 0.0) != turned_left)
     if misfit[given] < 2.0 * AXES.remains:
         return _all_agree(hypotheses, remains, knowledge, contrary)

@@ -22,6 +22,7 @@ from magcal_ros.core.doctor.alignment import (
     IRON,
     LAG,
     NO_BIAS,
+    PARAMETERS,
     SCALE,
     UP,
     Alignment,
@@ -42,8 +43,11 @@ class AxesHypothesis(NamedTuple):
     gyro: FloatArray
     field: FloatArray  # axes of both sensors in the accelerometer's, shape (3, 3)
     state: FloatArray
-    sigma: FloatArray  # the fitted parameters and their standard deviations, shape (23,)
+    sigma: FloatArray
+    """The parameters of `Alignment`, but field and hard iron in tesla, and their standard
+    deviations. Shape (23,)."""
     part: Segment  # the samples of the fit
+    log: SensorLog  # all samples, in rad/s and body axes
 
     @property
     def is_as_given(self) -> bool:
@@ -60,12 +64,9 @@ class AxesHypotheses:
     """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
     base: FloatArray
     """Chi-square, in independent samples, minus the best, without the inclination. Shape (k,)."""
-    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
-    parameters: FloatArray  # as in `AlignmentFit`, with the total latency, (k, 23)
-    covariance: FloatArray
-    """Of the parameters; infinite for hypotheses that were dropped. Shape (k, 23, 23)."""
-    least_tilt: float  # as in `Alignment`, radians
+    fit: Alignment  # with the total latency; its `misfit` is not used
     part: Segment  # the samples of the fit
+    log: SensorLog  # all samples
     inclination: Belief  # distinguishes a field from its opposite
 
     @cached_property
@@ -96,7 +97,7 @@ class AxesHypotheses:
     @property
     def fits_well(self) -> bool:
         """Whether the best fit is so good that small differences are significant."""
-        return bool(self.rms[self.best] < AXES.good_fit)
+        return bool(self.fit.rms[self.best] < AXES.good_fit)
 
     @property
     def confirms_unit(self) -> bool:
@@ -105,45 +106,48 @@ class AxesHypotheses:
         In less than a quarter turn, some axes fit a field that varies from place to place, whatever
         the gyro's unit.
         """
-        axes_fit = bool(self.rms[self.as_given] < AXES.good_fit)
-        return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
+        axes_fit = bool(self.fit.rms[self.as_given] < AXES.good_fit)
+        return self.fits_well and (axes_fit or abs(self.turned[self.best]) > 0.5 * math.pi)
 
     def is_better(self, other: AxesHypotheses) -> bool:
         """Whether the axes as given explain the movement better than any axes in `other`."""
-        own = self.rms[self.as_given]
-        return bool(own < min(AXES.worst_fit, float(other.rms.min())))
+        own = self.fit.rms[self.as_given]
+        return bool(own < min(AXES.worst_fit, float(other.fit.rms.min())))
 
     def hypothesis(self, k: int) -> AxesHypothesis:
         """Return hypothesis `k`."""
-        sigma = np.sqrt(np.diag(self.covariance[k]))
-        return AxesHypothesis(self.gyro[k], self.field[k], self.parameters[k], sigma, self.part)
+        scale = np.ones(PARAMETERS)
+        scale[FIELD.start : IRON.stop] = self.part.size
+        state = scale * self.fit.parameters[k]
+        sigma = scale * np.sqrt(np.diag(self.fit.covariance[k]))
+        return AxesHypothesis(self.gyro[k], self.field[k], state, sigma, self.part, self.log)
 
     def _inclination_misfit(self) -> FloatArray:
         """Return chi-square (k,) of the inclination by each hypothesis."""
-        dip = self.inclination
-        is_known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))
+        dip, fit = self.inclination, self.fit
+        is_known = np.asarray(np.isfinite(fit.covariance).all(axis=(1, 2)))
         if dip.is_unknown:
             return np.zeros(len(is_known))
-        up, field = unit(self.parameters[:, UP]), self.parameters[:, FIELD]
+        up, field = unit(fit.parameters[:, UP]), fit.parameters[:, FIELD]
         size = np.linalg.norm(field, axis=1)
         along = np.sum(up * field, axis=1) / size
         level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
         slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
-        covariance = np.where(is_known[:, None, None], self.covariance[:, FIELD, FIELD], 0.0)
+        covariance = np.where(is_known[:, None, None], fit.covariance[:, FIELD, FIELD], 0.0)
         variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
         # The gyro's drift looks like a small tilt, which does not determine the field.
-        variance += (WIDE.field_floor / max(self.least_tilt, 1e-6)) ** 2
+        variance += (WIDE.field_floor / max(fit.least_tilt, 1e-6)) ** 2
         variance += WIDE.soft_iron**2 + dip.sigma**2
         measured = -np.arcsin(np.clip(along, -1.0, 1.0))
         return np.where(is_known, (measured - dip.value) ** 2 / variance, 0.0)
 
-    def turned(self, k: int) -> float:
-        """Return the angle turned about the accelerometer's up, by hypothesis `k`, radians."""
-        segment = self.part
-        up = unit(segment.up[:-1])
-        rate = (1.0 + self.parameters[k, SCALE]) * segment.turn @ self.gyro[k]
-        rate = rate - self.parameters[k, BIAS] * segment.seconds[:, None]
-        return float(np.sum(rate * up))
+    @property
+    def turned(self) -> FloatArray:
+        """The angle turned about the accelerometer's up by each hypothesis, radians, (k,)."""
+        up, state = unit(self.part.up[:-1]), self.fit.parameters
+        angle = np.einsum("ni,kij,nj->k", self.part.turn, self.gyro, up)
+        turned = (1.0 + state[:, SCALE]) * angle - state[:, BIAS] @ (self.part.seconds @ up)
+        return np.asarray(turned)
 
 
 def _are_right(axes: FloatArray) -> BoolArray:
@@ -159,21 +163,19 @@ def compare_axes(
     `bias` (3,) is the gyro's bias from a rest, rad/s. It is subtracted first: otherwise a resting
     robot may seem to turn most.
     """
-    every = signed_permutations()
-    proper = every[:24]
-    log = replace(log, rate=log.rate - bias)
-    part, lag = segment_of_log(log), 0.0
+    unbiased = replace(log, rate=log.rate - bias)
+    part, lag = segment_of_log(unbiased), 0.0
     if part is None or most_turned(part) < AXES.least_turn:
         return None
-    senses = _fit_to_the_field(part, proper)
+    senses = _fit_to_the_field(part)
     for _ in range(AXES.rounds):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = segment_of_log(log, lag + more) if abs(more) > AXES.settled else None
+        nearer = segment_of_log(unbiased, lag + more) if abs(more) > AXES.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _fit_to_the_field(part, proper)
-    gyro, field, base = _hypotheses_to_fit(part, senses, every, proper)
+        senses = _fit_to_the_field(part)
+    gyro, field, base = _hypotheses_to_fit(part, senses)
     found = align(part, field, gyro)
     # The opposite of each field fits equally well.
     twice = np.tile(np.arange(len(field)), 2)
@@ -182,17 +184,10 @@ def compare_axes(
     parameters[len(field) :, FIELD.start : IRON.stop] *= -1.0
     parameters[:, BIAS] += (1.0 + parameters[:, SCALE, None]) * (bias @ gyro[twice])
     part = replace(part, turn=part.turn + part.seconds[:, None] * bias, rate=part.rate + bias)
-    return AxesHypotheses(
-        gyro[twice],
-        np.concatenate([field, -field]),
-        base[twice] - base.min(),
-        found.rms[twice],
-        parameters,
-        found.covariance[twice],
-        found.least_tilt,
-        part,
-        inclination,
-    )
+    rms, covariance = found.rms[twice], found.covariance[twice]
+    fit = replace(found, rms=rms, parameters=parameters, covariance=covariance)
+    axes = gyro[twice], np.concatenate([field, -field])
+    return AxesHypotheses(*axes, base[twice] - base.min(), fit, part, log, inclination)
 
 
 def most_turned(segment: Segment) -> float:
@@ -200,16 +195,19 @@ def most_turned(segment: Segment) -> float:
     return float(np.ptp(np.cumsum(segment.turn + segment.coning, axis=0), axis=0).max())
 
 
-def _fit_to_the_field(segment: Segment, proper: FloatArray) -> Alignment:
+def _fit_to_the_field(segment: Segment) -> Alignment:
     """Fit the field to the gyro alone, in both senses and 24 orientations each."""
+    proper = signed_permutations()[:24]
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
     return align(segment, np.concatenate([proper, proper]), senses, with_up=False)
 
 
 def _hypotheses_to_fit(
-    segment: Segment, senses: Alignment, every: FloatArray, proper: FloatArray
+    segment: Segment, senses: Alignment
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return axes (m, 3, 3) and chi-square (m,) of the hypotheses to fit, with all axes right."""
+    every = signed_permutations()
+    proper = every[:24]
     # A vehicle's accelerations tilt gravity for a long time: only changes are compared.
     misfit, rms = gravity_misfit(segment, every)
     gravity = _limited(misfit, rms, senses.least_tilt > 0.0)

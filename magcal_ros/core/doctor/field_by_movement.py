@@ -48,8 +48,8 @@ def is_vague_strength(strength: Belief) -> bool:
 
 def strength_of(hypothesis: AxesHypothesis) -> Belief:
     """Return the strength without hard iron, as published, by one hypothesis."""
-    size, vector, sigma = hypothesis.part.size, hypothesis.state[FIELD], hypothesis.sigma[FIELD]
-    return Belief(float(np.linalg.norm(vector)) * size, float(np.linalg.norm(sigma)) * size)
+    size, sigma = (np.linalg.norm(each[FIELD]) for each in (hypothesis.state, hypothesis.sigma))
+    return Belief(float(size), float(sigma))
 
 
 def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belief:
@@ -60,30 +60,30 @@ def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belie
     share = math.cos(dip.value)
     if dip.is_unknown or share <= 0.0 or not level.any():
         return Belief.unknown()
-    strength = hypothesis.part.size * float(np.linalg.norm(level)) / share
-    off = (
-        hypothesis.part.size * float(np.linalg.norm(hypothesis.sigma[FIELD] * unit(level))) / share
-    )
+    strength = float(np.linalg.norm(level)) / share
+    off = float(np.linalg.norm(hypothesis.sigma[FIELD] * unit(level))) / share
     return Belief(strength, math.hypot(off, strength * math.tan(dip.value) * dip.sigma))
 
 
 def with_field(
-    lines: list[Finding], found: MotionResult, knowledge: Knowledge, turn: TurnFit | None
+    lines: list[Finding],
+    found: MotionResult,
+    hypothesis: AxesHypothesis,
+    knowledge: Knowledge,
+    turn: TurnFit | None,
 ) -> list[Finding]:
-    """Return the lines with findings on the field, if a hypothesis explains the movement."""
-    if found.hypothesis is None or found.body is None:
-        return lines
+    """Return the lines with findings on the field, by the hypothesis that explains the movement."""
     if any(line.key == WRONG_UNIT and line.is_wrong for line in lines):
         return [
-            *_unit_by_strength(lines, found.hypothesis, knowledge),
+            *_unit_by_strength(lines, hypothesis, knowledge),
             undetermined("reference", AGAINST_REFERENCE, UNIT_FIRST),
             undetermined("motors", MOTORS, UNIT_FIRST),
         ]
-    lines = [*lines, reference_finding(found.hypothesis, knowledge, found.up_is_down)]
-    if found.prepared.restamped or not np.isfinite(found.body.rate).all():
+    lines = [*lines, reference_finding(hypothesis, knowledge, found.up_is_down)]
+    if found.prepared.restamped:
         return lines
     shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in lines)
-    motors = motors_finding(turn, found.hypothesis, shown)
+    motors = motors_finding(turn, hypothesis, shown)
     if motors.is_wrong:
         # Another turn with the motors on would not determine these quantities either.
         texts = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
@@ -112,7 +112,7 @@ def reference_finding(
     hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool | None
 ) -> Finding:
     """Compare strength and inclination by one hypothesis with the reference."""
-    size, vector = hypothesis.part.size, hypothesis.state[FIELD]
+    vector = hypothesis.state[FIELD]
     up = hypothesis.state[UP] * (-1.0 if up_is_down else 1.0)
     whole = strength_of(hypothesis)
     strength, off = whole.value, whole.sigma
@@ -121,7 +121,7 @@ def reference_finding(
         return upwards or undetermined("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
-    iron = float(np.linalg.norm(hypothesis.state[IRON])) * size
+    iron = float(np.linalg.norm(hypothesis.state[IRON]))
     evidence = (
         f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
         f"inclination {math.degrees(dip):.0f}°"
@@ -155,8 +155,8 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
     if not (hypothesis.is_as_given and known.is_complete):
         return None
     up = unit(hypothesis.state[UP])
-    field, iron = (hypothesis.part.size * hypothesis.state[part] for part in (FIELD, IRON))
-    field_off, iron_off = (hypothesis.part.size * hypothesis.sigma[part] for part in (FIELD, IRON))
+    field, iron = (hypothesis.state[part] for part in (FIELD, IRON))
+    field_off, iron_off = (hypothesis.sigma[part] for part in (FIELD, IRON))
     along = -known.strength.value * math.sin(known.inclination.value)
     # The movement may show the sign. What the reference is off by must not look as if it did.
     variance = float(field_off**2 @ up**2) + axial_field_variance(knowledge)
@@ -189,7 +189,7 @@ def motors_finding(turn: TurnFit | None, hypothesis: AxesHypothesis, lag_is_show
     is_seen = strength > max(ERRORS.motors, CLEAR * off)
     if off > ERRORS.motors and not is_seen:
         return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    level = hypothesis.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
+    level = float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
     turned = math.atan2(strength, level)
     words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
     evidence = (

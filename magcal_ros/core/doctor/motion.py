@@ -83,8 +83,6 @@ class MotionResult:
     factor: float = 1.0  # converts the gyro's numbers to rad/s
     up_is_down: bool | None = False
     """Whether gravity's sign is wrong; None if undecided."""
-    body: SensorLog | None = None
-    """The log in rad/s and in body axes; None if the sensors were not compared."""
     rest: LongestRest | None = None
     """A rest that the field proves, with rates as published."""
 
@@ -116,7 +114,6 @@ def compare(
     given, factor = _explained(body, likely, knowledge, bias)
     if given is None:
         return _nothing_shown(prepared, rest, turned_left, mounting)
-    body = replace(body, rate=factor * body.rate)
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
@@ -133,27 +130,25 @@ def compare(
         diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
     findings = _unit(factor, likely), stands, *diagnosis.findings
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
-    return MotionResult(
-        prepared, findings, diagnosis.axes, hypothesis, factor, up_is_down, body, rest
-    )
+    return MotionResult(prepared, findings, diagnosis.axes, hypothesis, factor, up_is_down, rest)
 
 
-def findings_by_turn(found: MotionResult, turn: TurnFit | None) -> list[Finding]:
-    """Return the findings on errors of the gyro and on latencies, if the movement is explained.
+def findings_by_turn(
+    found: MotionResult, hypothesis: AxesHypothesis, turn: TurnFit | None
+) -> list[Finding]:
+    """Return the findings on errors of the gyro and on latencies.
 
     If those of field and accelerometer are equal, the gyro's stamps are early.
     """
-    if found.hypothesis is None or found.body is None:
-        return []
     why = NO_BURSTS if found.prepared.restamped else FULL_TURN
     # Each of several possible corrections of the axes would give other errors.
     is_clear = not any(each.key == "axes" and each.is_wrong for each in found.findings)
     clear = (turn, why) if is_clear else (None, AXES_FIRST)
-    lines = _gyro_errors(found.hypothesis, found, *clear)
+    lines = _gyro_errors(hypothesis, found, *clear)
     if found.prepared.restamped:
         return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
     field = Belief.unknown() if turn is None else turn.latency
-    force = force_latency(found.body, found.hypothesis)
+    force = force_latency(hypothesis)
     field_lag, force_lag = _wrong_by(field, FIELD_LAG), _wrong_by(force, ERRORS.lag)
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
         of_field = of_force = (

@@ -89,8 +89,7 @@ class SensorReport:
         """Return the report with findings on the axes' yaw, which needs a course."""
         assert self.axes is not None
         lines, mount = course_findings(self.axes, gap, imu_yaw)
-        report = self.with_more(lines)
-        return report if mount is None else replace(report, mount_rpy_deg=mount)
+        return replace(self.with_more(lines), mount_rpy_deg=mount or self.mount_rpy_deg)
 
 
 def examine(
@@ -109,22 +108,19 @@ def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> Sensor
     if prepared.is_short:
         return SensorReport((*prepared.findings, *known_quirks(log)))
     lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
-    turn = None
-    is_usable = not prepared.restamped and not _wrong(lines, (WRONG_UNIT,))
-    if is_usable and hypothesis is not None and found.body is not None:
-        turn = fit_turn(found.body, hypothesis, knowledge, bool(found.up_is_down))
-    lines += findings_by_turn(found, turn)
-    lines = with_field(lines, found, knowledge, turn)
-    mount, wrong = None, None
+    mount = wrong = compass = None
+    if hypothesis is not None:
+        is_usable = not prepared.restamped and not _wrong(lines, (WRONG_UNIT,))
+        turn = fit_turn(hypothesis, knowledge, bool(found.up_is_down)) if is_usable else None
+        lines += findings_by_turn(found, hypothesis, turn)
+        lines = with_field(lines, found, hypothesis, knowledge, turn)
+        if axes is not None and found.factor == 1.0 and not found.up_is_down:
+            compass = compass_of(hypothesis, knowledge)
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
         mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
     lines += known_quirks(log, wrong)
     lines += orientation_findings(log, knowledge) if wrong is None else []
-    compass = None
-    is_right = axes is not None and found.factor == 1.0 and not found.up_is_down
-    if is_right and hypothesis is not None:
-        compass = compass_of(hypothesis, knowledge)
     return SensorReport(tuple(lines), mount, axes, compass)
 
 
@@ -145,7 +141,7 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Sensor
 
 def compass_of(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Calibration | None:
     """Return the compass of a hypothesis in rad/s and body axes; None if it is not usable."""
-    state, size = hypothesis.state, hypothesis.part.size
+    state = hypothesis.state
     if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
         return None
     level = float(np.linalg.norm(np.cross(state[FIELD], hypothesis.part.up[0])))
@@ -153,13 +149,13 @@ def compass_of(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Calibration 
         return None
     to_axes = hypothesis.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
-    hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
+    hard_iron = np.asarray(np.linalg.solve(to_axes, state[IRON]), dtype=np.float64)
     return Calibration(
         Correction(np.linalg.inv(soft) @ to_axes, hard_iron),
         1e-4 * np.eye(PARAMETERS),
         1e-6,
         math.radians(1.0),
-        size * float(np.linalg.norm(state[FIELD])),
+        float(np.linalg.norm(state[FIELD])),
         0.0,
         Evidence("doctor", "", "", ""),
     )

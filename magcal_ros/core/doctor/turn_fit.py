@@ -31,7 +31,7 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
-from magcal_ros.core.samples.window import SensorLog, Steps, Window
+from magcal_ros.core.samples.window import Steps, Window
 from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, Smoothed, smooth
 from magcal_ros.core.smoother.unknowns import AT, BODY_FIELD, DRIVES, MICROTESLA, USUAL
 
@@ -50,10 +50,8 @@ class TurnFit:
     drove: bool  # whether the robot drove in its turns
 
 
-def fit_turn(
-    log: SensorLog, hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool
-) -> TurnFit | None:
-    """Return the fit of a log in rad/s and body axes by a hypothesis; None if it is refused.
+def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> TurnFit | None:
+    """Return the fit of a log by a hypothesis; None if it is refused.
 
     The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
     If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
@@ -66,7 +64,7 @@ def fit_turn(
     is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
     found: list[tuple[float, Smoothed]] = []
     for each in (0.0, lag) if is_late else (0.0,):
-        window = _window(log, hypothesis, each, up_is_down)
+        window = _window(hypothesis, each, up_is_down)
         if window is None:
             continue
         with suppress(Refusal):
@@ -92,10 +90,9 @@ def _log_odds(found: Smoothed) -> float:
     return own - EVIDENCE_WEIGHT * found.fit.evidence
 
 
-def _window(
-    log: SensorLog, hypothesis: AxesHypothesis, lag: float, up_is_down: bool
-) -> Window | None:
+def _window(hypothesis: AxesHypothesis, lag: float, up_is_down: bool) -> Window | None:
     """Return the part of a log in which the robot turns most, in the body axes of a hypothesis."""
+    log = hypothesis.log
     stamps = log.field_time - lag
     span = liveliest(log, stamps)
     if span is None:
@@ -158,8 +155,9 @@ def _drove(found: Smoothed) -> bool:
     return bool(np.linalg.norm(radius) > TURN.radius)
 
 
-def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Belief:
-    """Return the accelerometer's latency by a log in rad/s; only a changing tilt shows it."""
+def force_latency(hypothesis: AxesHypothesis) -> Belief:
+    """Return the accelerometer's latency; only a changing tilt shows it."""
+    log = hypothesis.log
     found, lag, axes = Belief.unknown(), 0.0, (np.eye(3)[None], hypothesis.gyro[None])
     gravity = replace(log, field_time=log.imu_time, field=log.force)
     for _ in range(AXES.rounds):

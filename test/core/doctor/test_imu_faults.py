@@ -187,7 +187,7 @@ def test_the_sigma_of_a_latency_is_correct():
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
         log = prepare(case.log).log
         hypotheses = compare_axes(log, case.knowledge.reference.inclination)
-        latency = force_latency(log, hypotheses.hypothesis(hypotheses.best))
+        latency = force_latency(hypotheses.hypothesis(hypotheses.best))
         errors.append(latency.value / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
