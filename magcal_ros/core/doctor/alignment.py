@@ -173,11 +173,9 @@ class AlignmentFit:
         mirror = np.array([0, 3, 6, 1, 4, 7, 2, 5, 8])
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
         symmetric = np.eye(9) - antisymmetric
-        loose, free = 1e-3, 1e-6
-        iron, bias = priors.hard_iron**-2.0, priors.bias**-2.0
-        ends = [priors.scale**-2.0, priors.lag**-2.0]
-        sizes = [[0.0] * 9, [loose] * 3, [iron] * 3, [free] * 3, [bias] * 3, ends]
-        self.prior = np.diag(np.concatenate(sizes))
+        # Of field, hard iron, up and bias; those of field and up hardly constrain them.
+        vectors = np.repeat([1e-3, priors.hard_iron**-2.0, 1e-6, priors.bias**-2.0], 3)
+        self.prior = np.diag(np.r_[np.zeros(9), vectors, priors.scale**-2.0, priors.lag**-2.0])
         # A rotation by d has two elements ± d: hence the factor 0.5.
         self.prior[SOFT, SOFT] = (
             0.5 * antisymmetric / priors.installation**2 + symmetric / priors.soft_iron**2
