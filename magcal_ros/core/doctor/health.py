@@ -128,8 +128,7 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     Coarse numbers repeat by chance, independently on each axis. Long runs are of a frozen sensor,
     and are not counted.
     """
-    same = repeats(values)
-    long = in_long_runs(same)
+    same, long = repeats(values), in_long_runs(values)
     axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
     share = float(same[~long].mean()) if not long.all() else 0.0
     chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
@@ -138,10 +137,10 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     return ok_or_warning("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
-def in_long_runs(same: BoolArray) -> BoolArray:
-    """Return which flags (n,) are in a run of ten or more."""
-    out = np.zeros(len(same), dtype=np.bool_)
-    for first, end in runs(same):
+def in_long_runs(values: FloatArray) -> BoolArray:
+    """Return which rows (n, d) are in a run of ten or more that equal the row before."""
+    out = np.zeros(len(values), dtype=np.bool_)
+    for first, end in runs(repeats(values)):
         out[first:end] = end - first >= 10
     return out
 

@@ -73,22 +73,25 @@ def prepare(log: SensorLog) -> CleanLog:
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
     log = _selected(log, imu, field)
+    clean = _without_duplicates(log)
     if len(log.field) > HEALTH.fewest:
         findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
     if len(log.force) > HEALTH.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
-        findings += [_gravity_size(log), health.repeats_finding("IMU", both)]
+        rate = clean.rate if clean.has_gyro else None
+        size = gravity_size(clean.imu_time, clean.force, rate)
+        findings.append(health.gravity_size_finding(clean.force, size))
+        findings.append(health.repeats_finding("IMU", both))
         findings.append(health.alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
             findings.append(health.alive_finding("gyro", log.rate, log.force))
-    log = _without_duplicates(log)
-    if min(len(log.force), len(log.field)) > HEALTH.fewest:
-        log, clocks = on_one_clock(log)
+    if min(len(clean.force), len(clean.field)) > HEALTH.fewest:
+        clean, clocks = on_one_clock(clean)
         findings += clocks
-    log, more = _without_frozen(log)
+    clean, more = _without_frozen(clean)
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
-    return CleanLog(log, tuple(findings), burst)
+    return CleanLog(clean, tuple(findings), burst)
 
 
 def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
@@ -98,13 +101,6 @@ def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
     with np.errstate(over="ignore", invalid="ignore"):
         field = np.linalg.norm(log.field, axis=1)
     return np.asarray(np.isfinite(measured).all(axis=1)), np.isfinite(field)
-
-
-def _gravity_size(log: SensorLog) -> Finding:
-    """Check the size of gravity, without the sensor's own motion if there is a gyro."""
-    log = _selected(log, _increasing(log.imu_time), np.ones(len(log.field), dtype=np.bool_))
-    rate = log.rate if log.has_gyro else None
-    return health.gravity_size_finding(log.force, gravity_size(log.imu_time, log.force, rate))
 
 
 def _selected(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
@@ -122,7 +118,7 @@ def _without_duplicates(log: SensorLog) -> SensorLog:
     imu = _increasing(log.imu_time)
     field = _increasing(log.field_time) & ~held
     # The driver repeats a sample a few times; a frozen sensor, another fault, repeats it for long.
-    field &= ~health.repeats(log.field) | health.in_long_runs(health.repeats(log.field))
+    field &= ~health.repeats(log.field) | health.in_long_runs(log.field)
     return _selected(log, imu, field)
 
 
@@ -203,9 +199,9 @@ def _clock_shift(log: SensorLog) -> float:
         return 0.0
     edges = np.arange(first, last + RECORDER.row, RECORDER.row)
     # A frozen sensor does not show when the robot turned.
-    fresh = ~health.in_long_runs(health.repeats(log.rate))
+    fresh = ~health.in_long_runs(log.rate)
     gyro = np.linalg.norm(means_between(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
-    fresh = ~health.in_long_runs(health.repeats(log.field))
+    fresh = ~health.in_long_runs(log.field)
     field = means_between(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
