@@ -11,7 +11,6 @@ import numpy as np
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.health import Finding, ok_or_warning
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS
 from magcal_ros.core.samples.window import SensorLog
@@ -150,6 +149,9 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     """
     if log.orientation is None or not len(log.field) or not len(log.imu_time):
         return []
+    # Slow to import.
+    from scipy.spatial.transform import Rotation
+
     order = np.argsort(log.imu_time)
     nearest = np.searchsorted(log.imu_time[order], log.field_time).clip(0, len(order) - 1)
     quaternion = log.orientation[order][nearest]
@@ -158,9 +160,7 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
         kept = (np.abs(size - 1.0) < 0.02) & (np.linalg.norm(log.field, axis=1) < 1e100)
     if kept.sum() < 20:
         return []
-    vector, turn = quaternion[kept, :3], quaternion[kept, 3:]
-    sine = np.linalg.norm(vector, axis=1, keepdims=True)
-    to_world = exp_rotations(2.0 * np.arctan2(sine, turn) * vector / np.maximum(sine, 1e-12))
+    to_world = Rotation.from_quat(quaternion[kept]).as_matrix()
     field = log.field[kept] @ knowledge.mounting.to_body.T
     axes = np.broadcast_to(np.eye(3), to_world.shape)
     design = np.concatenate([np.swapaxes(to_world, 1, 2), axes], axis=2).reshape(-1, 6)
