@@ -59,18 +59,7 @@ class _Rest:
     clock: float  # of the drive when the rest began, minus infinity before any movement
     rate: FloatArray
     sigma: float  # of the rate when the rest began
-    chunks: int
-
-    @classmethod
-    def of(cls, clock: float, means: FloatArray) -> _Rest:
-        """Return a rest, from the means of its first chunks (n, 3)."""
-        scatter = float(np.mean(means.var(axis=0, ddof=1)))
-        return cls(clock, means.mean(axis=0), math.sqrt(scatter / len(means)), len(means))
-
-    def add(self, mean: FloatArray, most: int) -> None:
-        """Add a chunk to the mean, which is over the newest chunks because a bias drifts."""
-        self.chunks = min(self.chunks + 1, most)
-        self.rate = self.rate + (mean - self.rate) / self.chunks
+    chunks: int  # in the mean rate
 
 
 class DriveRecorder:
@@ -194,7 +183,7 @@ class DriveRecorder:
             rested=rows[:, RESTED] > 0.0,
             longest_step=STREAMS.longest_field_gap,
         )
-        return log.with_steps(steps_of(rows)) if len(rows) else log
+        return log.with_steps(steps_of(rows))
 
     def _close(self) -> bool:
         """Finish a row, and a full chunk; return whether the log has grown."""
@@ -223,11 +212,15 @@ class DriveRecorder:
         """Add a chunk at rest; the beginning and the end of a rest are kept."""
         if begins:
             means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
-            self._rested.append(_Rest.of(self.clock, means))
+            sigma = math.sqrt(float(np.mean(means.var(axis=0, ddof=1))) / len(means))
+            self._rested.append(_Rest(self.clock, means.mean(axis=0), sigma, len(means)))
             for each in self._recent:
                 each[:, RESTED] = 1.0
         else:
-            self._rested[-1].add(chunk[:, RATE].mean(axis=0), RECORDER.rest_chunks)
+            # The mean is over the newest chunks, because a bias drifts.
+            rest = self._rested[-1]
+            rest.chunks = min(rest.chunks + 1, RECORDER.rest_chunks)
+            rest.rate = rest.rate + (chunk[:, RATE].mean(axis=0) - rest.rate) / rest.chunks
             # A changing field, by a switch or added iron, is not marked as a rest.
             chunk[:, RESTED] = (_changes(chunk[:, FIELD]) < RECORDER.rest_field).all()
         self._held.append(chunk)

@@ -57,16 +57,8 @@ def likely_field_unit(size: float) -> str:
 def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
     """Say in words which units a field of this strength without hard iron may have.
 
-    Parameters
-    ----------
-    strength, sigma : float
-        "Tesla" as published.
-
-    Returns
-    -------
-    str
-        Empty if it may be tesla; the likeliest one first. If no unit gives the Earth's field, the
-        unit of raw samples of this size.
+    `strength` and `sigma` are in "tesla" as published. The likeliest unit comes first; empty if it
+    may be tesla. If no unit gives the Earth's field, the unit of raw samples of this size.
     """
     shares = {unit: _share_within(unit.strengths, strength, sigma) for unit in FIELD_UNITS}
     by_size = likely_field_unit(strength)
