@@ -89,20 +89,13 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
     form = np.diag(elements[:3])
     for (i, j), value in zip(pairs, elements[3:], strict=True):
         form[i, j] = form[j, i] = value
-    return _moved_back(form, np.asarray(solution[-3:]), centroid, size)
-
-
-def _moved_back(
-    form: FloatArray, linear: FloatArray, centroid: FloatArray, size: float
-) -> Ellipsoid:
-    """Return the ellipsoid pᵀQp + 2bᵀp = 1 of normalised points; refuse an open surface."""
     values, axes = np.linalg.eigh(form)
-    if np.array_equal(form, np.diag(np.diag(form))):
+    if shape is not QuadricFit.ROTATED:
         values, axes = np.diag(form), np.eye(3)
     if (values * values[0] <= 0.0).any():
         raise Refusal(Reason.NO_SOLUTION, OPEN)
-    centre = -np.linalg.solve(form, linear)
-    squares = (1.0 - float(linear @ centre)) / values
+    centre = -np.linalg.solve(form, solution[-3:])
+    squares = (1.0 - float(solution[-3:] @ centre)) / values
     if not ((squares > 0.0) & (squares <= LARGEST_RADIUS**2)).all():
         raise Refusal(Reason.NO_SOLUTION, OPEN)
     radii = size * np.sqrt(squares)
