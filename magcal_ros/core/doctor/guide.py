@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.doctor_tuning import AXES, GUIDE, HEALTH
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import angle_between
+from magcal_ros.core.geometry.attitude import angle_between, unit
 from magcal_ros.core.samples.rest import USUAL_LEVEL
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
@@ -55,10 +55,9 @@ class Guide:
         self._field: list[tuple[float, ...]] = []
         self._blocks: list[FloatArray] = []
         """Means of force, rate and field over a short time, NaN without samples. Shape (3, 3)."""
+        self._seconds: list[float] = []  # duration of each block
         self._step_start = 0  # index of the current step's first block
         self._resting: FloatArray | None = None
-        self._angle = 0.0
-        self._done_moving = False
 
     @property
     def current(self) -> GuideStep | None:
@@ -108,32 +107,27 @@ class Guide:
         if self._field:
             block[2] = np.mean(self._field, axis=0)
         self._blocks.append(block)
-        if self._resting is not None and np.isfinite(block[1]).all():
-            # About the vertical at rest, whichever axis of the sensor this is.
-            force, bias, _ = self._resting
-            about_up = float(force @ (block[1] - bias)) / max(float(np.linalg.norm(force)), 1e-12)
-            self._angle += about_up * (now - self._block_began)
+        self._seconds.append(now - self._block_began)
         self._imu, self._field = [], []
         self._block_began = now
 
     def _is_detected(self, step: GuideStep) -> bool:
         if self._resting is None:
             return self._stands(GUIDE.stand)
-        (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
+        resting, bias, first = self._resting
+        force, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
         if step is GuideStep.LIFT:
-            self._done_moving |= angle_between(force, resting) > GUIDE.lift
-            return self._done_moving and self._stands(GUIDE.rest)
-        swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
-        self._done_moving |= abs(self._angle) > ANGLE or swing > SWING
-        return self._done_moving and self._stands(GUIDE.rest) and self._has_stopped()
-
-    def _has_stopped(self) -> bool:
-        """Return whether the turn has ended, by the sensor that measured it, in any unit."""
-        # In a short time, a slow turn changes the field less than `still` allows.
-        assert self._resting is not None
-        _, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
-        by_gyro = abs(self._angle) > ANGLE
-        moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
+            lifted = any(angle_between(each, resting) > GUIDE.lift for each in force)
+            return lifted and self._stands(GUIDE.rest)
+        # About the vertical at rest, whichever axis of the sensor this is.
+        turns = ((rate - bias) @ unit(resting)) * self._seconds[self._step_start :]
+        angle = np.abs(np.cumsum(np.where(np.isfinite(turns), turns, 0.0)))
+        swing = np.linalg.norm(field - first, axis=1) / max(float(np.linalg.norm(first)), 1e-12)
+        if not (((angle > ANGLE) | (swing > SWING)).any() and self._stands(GUIDE.rest)):
+            return False
+        # In a short time, a slow turn changes the field less than `still` allows: the sensor that
+        # measured the turn, in any unit, shows its end.
+        moved = rate - bias if angle[-1] > ANGLE else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
         return bool(np.nanmax(pace[-BLOCKS:]) < HEALTH.moving * np.nanmax(pace))
 
@@ -151,5 +145,4 @@ class Guide:
     def _end(self, step: GuideStep, is_detected: bool, now: float) -> None:
         self.ended[step] = is_detected
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
-        self._since, self._angle, self._done_moving = now, 0.0, False
-        self._step_start = len(self._blocks)
+        self._since, self._step_start = now, len(self._blocks)
