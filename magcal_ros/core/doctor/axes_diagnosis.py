@@ -70,7 +70,13 @@ def check_gravity_direction(
     if math.cos(mounting.lean(usual)) > LEAST_UPRIGHT:
         return ok_or_warning("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
-        return ok_or_severe("imu_axes", name, evidence, upward_axis_in_words(usual)), False
+        axis = int(np.argmax(np.abs(usual)))
+        way = DIRECTIONS[2][int(usual[axis] < 0.0)]
+        words = (
+            f"at rest the IMU's {'xyz'[axis]} axis points {way}, but its z axis should point up: "
+            "turn the IMU's axes in the driver, or mount it upright"
+        )
+        return ok_or_severe("imu_axes", name, evidence, words), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
         None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
@@ -78,16 +84,6 @@ def check_gravity_direction(
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
     return ok_or_severe(key, name, evidence, words), flipped
-
-
-def upward_axis_in_words(up: FloatArray) -> str:
-    """Return which axis points up, and the remedy; `up` is a unit vector (3,)."""
-    axis = int(np.argmax(np.abs(up)))
-    way = DIRECTIONS[2][int(up[axis] < 0.0)]
-    return (
-        f"at rest the IMU's {'xyz'[axis]} axis points {way}, but its z axis should point up: turn "
-        "the IMU's axes in the driver, or mount it upright"
-    )
 
 
 def _is_flipped(
@@ -244,18 +240,18 @@ def diagnose_axes(
     if misfit[given] < 2.0 * AXES.remains:
         return _all_agree(hypotheses, remains, knowledge, contrary)
     kept = remains & ~contrary
-    remains = kept if kept.any() else remains
-    remains[given] = False
-    left = [int(k) for k in np.flatnonzero(remains)]
-    rank = {k: _wrong_sensors(hypotheses, k) for k in left}
-    least = min(len(rank[k]) for k in left)
-    fewest = [k for k in left if len(rank[k]) == least]
+    left = [int(k) for k in np.flatnonzero(kept if kept.any() else remains)]
     # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = hypotheses.gyro, hypotheses.field
-    fewest.sort(key=lambda k: (misfit[k] > 0.5 * AXES.remains, rank_of(gyro[k]), rank_of(field[k])))
-    if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
+    left.sort(key=lambda k: (misfit[k] > 0.5 * AXES.remains, rank_of(gyro[k]), rank_of(field[k])))
+    suspects: dict[tuple[str, ...], list[int]] = {}
+    for k in left:
+        suspects.setdefault(_wrong_sensors(hypotheses, k), []).append(k)
+    fewest = min(map(len, suspects))
+    suspects = {sensors: each for sensors, each in suspects.items() if len(sensors) == fewest}
+    if gyro_is_half_dead and list(suspects) != [("gyro",)]:
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
-    return _findings_on_axes(hypotheses, fewest, rank, knowledge)
+    return _findings_on_axes(hypotheses, suspects, knowledge)
 
 
 def _wrong_sensors(hypotheses: AxesHypotheses, k: int) -> tuple[str, ...]:
@@ -293,21 +289,20 @@ def _all_agree(
 
 
 def _findings_on_axes(
-    hypotheses: AxesHypotheses,
-    fewest: list[int],
-    rank: dict[int, tuple[str, ...]],
-    knowledge: Knowledge,
+    hypotheses: AxesHypotheses, suspects: dict[tuple[str, ...], list[int]], knowledge: Knowledge
 ) -> AxesDiagnosis:
-    """Name the sensor with wrong axes; ask for a movement if several are possible or wrong."""
-    culprits = list(dict.fromkeys(rank[k] for k in fewest))
-    if len(culprits[0]) > 1:
-        names = " and ".join(culprits[0])
+    """Name the sensor with wrong axes; ask for a movement if several are possible or wrong.
+
+    `suspects` holds the hypotheses by the sensors that are wrong, the likeliest first.
+    """
+    first, chosen = next(iter(suspects.items()))
+    if len(first) > 1:
+        names = " and ".join(first)
         evidence = f"other axes of {names} explain the movement better"
         return AxesDiagnosis((ok_or_warning("axes", "axes", evidence, SEVERAL_WRONG),))
-    is_clear = len(culprits) == 1
+    is_clear = len(suspects) == 1
     remedies, axes = {}, None
-    for (sensor,) in culprits:
-        alternatives = [k for k in fewest if rank[k] == (sensor,)]
+    for (sensor,), alternatives in suspects.items():
         if sensor == "magnetometer":
             axes = PossibleAxes(_distinct(hypotheses.field[alternatives]), False, knowledge)
             remedies[sensor] = axes.words if is_clear else axes.alternatives
@@ -326,10 +321,10 @@ def _findings_on_axes(
         asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {either}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
-        return AxesDiagnosis((ok_or_severe("axes", "axes", evidence, asked),), fewest[0], axes)
+        return AxesDiagnosis((ok_or_severe("axes", "axes", evidence, asked),), chosen[0], axes)
     evidence = "the other sensors contradict them"
     line = ok_or_severe(f"{KEYS[names]}_axes", f"{names}: axes", evidence, remedies[names])
-    return AxesDiagnosis((line,), fewest[0], axes)
+    return AxesDiagnosis((line,), chosen[0], axes)
 
 
 KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}

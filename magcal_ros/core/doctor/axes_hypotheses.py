@@ -165,7 +165,11 @@ def compare_axes(
     """
     unbiased = replace(log, rate=log.rate - bias)
     part, lag = segment_of_log(unbiased), 0.0
-    if part is None or most_turned(part) < AXES.least_turn:
+    if part is None:
+        return None
+    # About the angle between the most distant attitudes.
+    turned = np.ptp(np.cumsum(part.turn + part.coning, axis=0), axis=0)
+    if turned.max() < AXES.least_turn:
         return None
     senses = _fit_to_the_field(part)
     for _ in range(AXES.rounds):
@@ -188,11 +192,6 @@ def compare_axes(
     fit = replace(found, rms=rms, parameters=parameters, covariance=covariance)
     axes = gyro[twice], np.concatenate([field, -field])
     return AxesHypotheses(*axes, base[twice] - base.min(), fit, part, log, inclination)
-
-
-def most_turned(segment: Segment) -> float:
-    """Return the approximate angle between the most distant attitudes, radians."""
-    return float(np.ptp(np.cumsum(segment.turn + segment.coning, axis=0), axis=0).max())
 
 
 def _fit_to_the_field(segment: Segment) -> Alignment:
