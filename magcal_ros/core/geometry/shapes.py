@@ -209,9 +209,7 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
 
     Raises `Refusal` if the points (n, 3) are too few, on a line, or one point.
     """
-    away = centred(points, 3, "circle")[1]
-    spread = np.linalg.svd(away, compute_uv=False)
-    _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))
+    _principal_axes(points, "circle")
     circle = fit_circle_robustly(points)
     # Half a turn about the first axis keeps the basis right-handed.
     flipped = circle.basis * np.array([[1.0], [-1.0], [-1.0]])
@@ -301,19 +299,24 @@ def fit_plane(points: FloatArray) -> Plane:
 
     Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
     """
-    centre, moved = centred(points, 3, "plane")
-    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
-    _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
+    moved, axes = _principal_axes(points, "plane")
     return Plane(axes[2], moved.T @ moved / len(points), len(points))
 
 
-def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
-    if spread[2] <= SMALLEST * float(np.linalg.norm(centre)) or spread[2] == 0.0:
+def _principal_axes(points: FloatArray, shape: str) -> tuple[FloatArray, FloatArray]:
+    """Return points (n, 3) about their centroid, and their principal axes, the longest first.
+
+    Raises `Refusal` if the points are too few for a `shape`, not finite, one point, or a line.
+    """
+    centre, moved = centred(points, 3, shape)
+    spread, axes = np.linalg.svd(moved / np.sqrt(len(points)), full_matrices=False)[1:]
+    if spread[0] <= SMALLEST * float(np.linalg.norm(centre)) or spread[0] == 0.0:
         words = "All samples are the same point. Turn while the samples are taken."
         raise Refusal(Reason.NO_MOTION, words)
-    if spread[1] <= THINNEST * spread[2]:
+    if spread[1] <= THINNEST * spread[0]:
         words = "The samples lie on a line, which has no plane. Turn further."
         raise Refusal(Reason.FIELD_ON_A_LINE, words)
+    return moved, axes
 
 
 def plane_normal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
