@@ -13,11 +13,10 @@ from magcal_ros.core.doctor.doctor_tuning import HEALTH
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.samples_tuning import COMPLAINTS, STREAMS
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
-    NOT_NUMBERS,
     likely_field_unit,
     slow_words,
 )
@@ -68,14 +67,6 @@ TURN_ON_THE_SPOT = (
 def vector_in_words(vector: FloatArray) -> str:
     """Return the three numbers with two digits, in brackets, without a negative zero."""
     return f"({', '.join(f'{round(float(value), 2) + 0.0:.2f}' for value in vector)})"
-
-
-def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
-    """Return a finding if more than a few samples (n,) are not finite."""
-    share = 1.0 - float(are_numbers.mean())
-    if share <= COMPLAINTS.worth_a_word:
-        return []
-    return [ok_or_warning("not_finite", f"{name}: numbers", f"{share:.0%} not finite", NOT_NUMBERS)]
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:

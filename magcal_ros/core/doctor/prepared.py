@@ -22,8 +22,8 @@ from magcal_ros.core.geometry.arrays import (
 )
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
-from magcal_ros.core.samples.samples_tuning import RECORDER, STREAMS
-from magcal_ros.core.samples.units import gravity_size
+from magcal_ros.core.samples.samples_tuning import COMPLAINTS, RECORDER, STREAMS
+from magcal_ros.core.samples.units import NOT_NUMBERS, gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
@@ -65,7 +65,10 @@ def prepare(log: SensorLog) -> CleanLog:
         if are_numbers.sum() <= HEALTH.fewest or len(increasing) <= HEALTH.fewest:
             continue
         findings.append(health.stamps_finding(sensor, increasing))
-        findings += health.numbers_findings(sensor, are_numbers)
+        lost = 1.0 - float(are_numbers.mean())
+        if lost > COMPLAINTS.worth_a_word:
+            words = f"{lost:.0%} not finite", NOT_NUMBERS
+            findings.append(health.ok_or_warning("not_finite", f"{sensor}: numbers", *words))
         if bursts_in_words(increasing):
             burst = True
             even = spread_bursts(time)

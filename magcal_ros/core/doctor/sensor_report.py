@@ -110,7 +110,8 @@ def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> Sensor
     lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
     mount = wrong = compass = None
     if hypothesis is not None:
-        is_usable = not prepared.restamped and not _wrong(lines, (WRONG_UNIT,))
+        is_wrong_unit = any(each.key == WRONG_UNIT and each.is_wrong for each in lines)
+        is_usable = not prepared.restamped and not is_wrong_unit
         turn = fit_turn(hypothesis, knowledge, bool(found.up_is_down)) if is_usable else None
         lines += findings_by_turn(found, hypothesis, turn)
         lines = with_field(lines, found, hypothesis, knowledge, turn)
@@ -332,9 +333,5 @@ def _refusal_by(
     findings: Iterable[Finding], keys: tuple[str, ...], least: Grade = Grade.WARN
 ) -> Refusal | None:
     """Return a refusal with the remedies of some findings; None if they have none."""
-    remedies = [each.remedy for each in _wrong(findings, keys) if each.grade.rank >= least.rank]
+    remedies = [f.remedy for f in findings if f.key in keys and f.grade.rank >= least.rank]
     return Refusal(Reason.AXES_DISAGREE, "; ".join(remedies)) if any(remedies) else None
-
-
-def _wrong(findings: Iterable[Finding], keys: tuple[str, ...]) -> list[Finding]:
-    return [each for each in findings if each.is_wrong and each.key in keys]
