@@ -50,6 +50,7 @@ RESTED, WIDTH = COLUMNS, COLUMNS + 1
 """Columns of the rows of a drive, in addition to those of all samples in rows."""
 
 CHUNKS_OF_REST = 5  # chunks over which a rest is detected
+LONGEST_SILENCE = CHUNKS_OF_REST * RECORDER.chunk * RECORDER.row  # seconds between two pairs
 
 
 @dataclass
@@ -72,23 +73,25 @@ class DriveRecorder:
     """
 
     def __init__(self, seconds: float) -> None:
-        self._longest_silence = CHUNKS_OF_REST * RECORDER.chunk * RECORDER.row
-        self._chunks: deque[FloatArray] = deque(
-            maxlen=int(seconds / (RECORDER.row * RECORDER.chunk)) + 1
-        )
-        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_OF_REST)
-        self._rested: deque[_Rest] = deque(maxlen=RECORDER.rests)
-        self._held: deque[FloatArray] = deque()
+        self._most = int(seconds / (RECORDER.row * RECORDER.chunk)) + 1
         self.begin_anew()
 
     def begin_anew(self) -> None:
         """Forget the drive."""
-        self._chunks.clear()
-        self._rested.clear()
-        self._newest, self._pause, self.start = -math.inf, 0.0, math.nan
+        self._chunks: deque[FloatArray] = deque(maxlen=self._most)
+        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_OF_REST)
+        self._held: deque[FloatArray] = deque()
+        self._rested: deque[_Rest] = deque(maxlen=RECORDER.rests)
+        self._newest, self._pause = -math.inf, 0.0
         self._begin_piece()
 
     def _begin_piece(self) -> None:
+        # A piece that was too short to show a rest is dropped.
+        if len(self._recent) < CHUNKS_OF_REST:
+            for _ in self._recent:
+                self._chunks.pop()
+            if not self._chunks:
+                self.start = math.nan
         self._rows: list[FloatArray] = []
         self._recent.clear()
         self._held.clear()
@@ -119,8 +122,8 @@ class DriveRecorder:
         Returns whether the log has grown.
         """
         stamp, imu = pair.field.stamp, pair.imu
-        if not 0.0 <= stamp - self._newest <= self._longest_silence:
-            self._end_piece()
+        if not 0.0 <= stamp - self._newest <= LONGEST_SILENCE:
+            self._begin_piece()
             # The remaining gap is too long for the gyro to be integrated across it.
             hole = 2.0 * STREAMS.longest_gyro_step
             self._pause = stamp - self.clock - hole if self._chunks else 0.0
@@ -146,15 +149,6 @@ class DriveRecorder:
             span = ImuSpan(angle, scaled(plus(last.force, imu.force), half), 1)
         step = (*span.angle, *span.velocity, float(span.intervals))
         self._path = list(map(add, self._path, step))
-
-    def _end_piece(self) -> None:
-        # A piece that was too short to show a rest is dropped.
-        if len(self._recent) < CHUNKS_OF_REST:
-            for _ in self._recent:
-                self._chunks.pop()
-            if not self._chunks:
-                self.start = math.nan
-        self._begin_piece()
 
     def log(self) -> Window:
         """Return all rows that are kept, a tenth of a second each, by the drive's clock.
