@@ -304,10 +304,7 @@ def fit_plane(points: FloatArray) -> Plane:
 
 
 def _principal_axes(points: FloatArray, shape: str) -> tuple[FloatArray, FloatArray]:
-    """Return points (n, 3) about their centroid, and their principal axes, the longest first.
-
-    Raises `Refusal` if the points are too few for a `shape`, not finite, one point, or a line.
-    """
+    """Return points (n, 3) about their centroid, and principal axes; refuse a point or a line."""
     centre, moved = centred(points, 3, shape)
     spread, axes = np.linalg.svd(moved / np.sqrt(len(points)), full_matrices=False)[1:]
     if spread[0] <= SMALLEST * float(np.linalg.norm(centre)) or spread[0] == 0.0:
