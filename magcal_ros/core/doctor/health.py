@@ -20,7 +20,7 @@ from magcal_ros.core.samples.units import (
     likely_field_unit,
     slow_words,
 )
-from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
+from magcal_ros.core.samples.window import SensorLog, white_noise
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
 COMPARED = 4  # steps of the numbers below an extreme that are compared with it
@@ -225,12 +225,6 @@ def stuck_axes(field: FloatArray) -> list[int]:
         return []
     stays = math.erf(float(steps.max()) / (math.sqrt(8.0) * noise)) ** len(field)
     return stuck if stays < HEALTH.by_chance else []
-
-
-def dead_axes(rate: FloatArray) -> list[int]:
-    """Return the axes of a gyro (n, 3) that its driver does not read; empty without a gyro."""
-    living = working_axes(rate)
-    return [axis for axis in range(3) if not living[axis]] if any(living) else []
 
 
 def saturated(field: FloatArray, axis: int) -> BoolArray:

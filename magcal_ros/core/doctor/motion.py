@@ -24,7 +24,6 @@ from magcal_ros.core.doctor.axes_hypotheses import (
 from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS, is_vague
 from magcal_ros.core.doctor.health import (
     Finding,
-    dead_axes,
     ok_or_severe,
     ok_or_warning,
     undetermined,
@@ -37,7 +36,7 @@ from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge, Mounting
 from magcal_ros.core.samples.rest import LongestRest, longest_rest
 from magcal_ros.core.samples.units import slow_words
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, working_axes
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that determines all quantities of a report."""
@@ -117,7 +116,8 @@ def compare(
     # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
-    dead = bool(dead_axes(log.rate))
+    living = working_axes(log.rate)
+    dead = any(living) and not all(living)
     stands, up_is_down = check_gravity_direction(
         log, None if dead else given, other, turned_left, mounting
     )

@@ -24,7 +24,6 @@ from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
     Finding,
     alive_finding,
-    dead_axes,
     field_findings,
     noise_findings,
     ok_or_severe,
@@ -51,7 +50,7 @@ from magcal_ros.core.samples.units import (
     likely_field_unit,
     was_turned_over,
 )
-from magcal_ros.core.samples.window import SensorLog, Window, is_noiseless
+from magcal_ros.core.samples.window import SensorLog, Window, is_noiseless, working_axes
 
 YAW_BY_COURSE = "axes: yaw by course"
 DRIVE_FARTHER = "drive farther: straight, in several directions, and faster than walking pace"
@@ -86,10 +85,34 @@ class SensorReport:
         return replace(self, findings=(*self.findings, *findings))
 
     def with_course(self, gap: Belief, imu_yaw: Belief) -> SensorReport:
-        """Return the report with findings on the axes' yaw, which needs a course."""
+        """Return the report with findings on the axes' yaw, and the mounting that corrects it.
+
+        `gap` is the yaw of the compass with these axes minus course and declination, and minus the
+        IMU's yaw if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from
+        the vehicle's acceleration. Both are in radians.
+        """
         assert self.axes is not None
-        lines, mount = course_findings(self.axes, gap, imu_yaw)
-        return replace(self.with_more(lines), mount_rpy_deg=mount or self.mount_rpy_deg)
+        knows_imu = CLEAR * imu_yaw.sigma < ERRORS.near
+        report = self.with_more([_imu_yaw(imu_yaw)]) if knows_imu else self
+        if not CLEAR * gap.sigma < ERRORS.near:
+            return report.with_more([undetermined("field_yaw", YAW_BY_COURSE, DRIVE_FARTHER)])
+        quarters = round(gap.value / (0.5 * math.pi))
+        off, sigma = math.degrees(gap.value), math.degrees(gap.sigma)
+        evidence = f"the compass is {off:+.0f} ± {sigma:.0f}° off the course"
+        if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > ERRORS.near:
+            return report.with_more([ok_or_warning("field_yaw", YAW_BY_COURSE, evidence)])
+        turn = rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters)
+        right = np.rint(self.axes.likeliest @ turn)
+        mount = mount_of(right, self.axes.pose)
+        axes = f"the magnetometer's axes are {axes_in_words(right)}: set `{parameter_line(mount)}`"
+        either = (
+            f"either {axes}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to "
+            f"the left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, "
+            "record the speed too, and accelerate and brake"
+        )
+        words = axes if knows_imu else either
+        report = report.with_more([ok_or_severe("field_yaw", YAW_BY_COURSE, evidence, words)])
+        return replace(report, mount_rpy_deg=mount) if knows_imu else report
 
 
 def examine(
@@ -162,41 +185,6 @@ def compass_of(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Calibration 
     )
 
 
-def course_findings(
-    axes: PossibleAxes, gap: Belief, imu_yaw: Belief
-) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the findings, and the mounting that corrects a wrong yaw.
-
-    `gap` is the yaw of the compass with these axes minus course and declination, and minus the
-    IMU's yaw if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from the
-    vehicle's acceleration. Both are in radians.
-    """
-    lines = []
-    knows_imu = CLEAR * imu_yaw.sigma < ERRORS.near
-    if knows_imu:
-        lines.append(_imu_yaw(imu_yaw))
-    if not CLEAR * gap.sigma < ERRORS.near:
-        return [*lines, undetermined("field_yaw", YAW_BY_COURSE, DRIVE_FARTHER)], None
-    quarters = round(gap.value / (0.5 * math.pi))
-    evidence = (
-        f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
-        "course"
-    )
-    if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > ERRORS.near:
-        return [*lines, ok_or_warning("field_yaw", YAW_BY_COURSE, evidence)], None
-    right = np.rint(axes.likeliest @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
-    mount = mount_of(right, axes.pose)
-    turned = f"the magnetometer's axes are {axes_in_words(right)}: set `{parameter_line(mount)}`"
-    if knows_imu:
-        return [*lines, ok_or_severe("field_yaw", YAW_BY_COURSE, evidence, turned)], mount
-    either = (
-        f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
-        f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
-        "speed too, and accelerate and brake"
-    )
-    return [*lines, ok_or_severe("field_yaw", YAW_BY_COURSE, evidence, either)], None
-
-
 def _imu_yaw(measured: Belief) -> Finding:
     degrees = math.degrees(measured.value)
     evidence = (
@@ -256,7 +244,8 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         frozen = _refusal_by_comparison(window, knowledge, ("frozen",))
         if frozen is not None:
             return frozen
-    if up_axis(window.specific_force) in dead_axes(rate):
+    living = working_axes(rate)
+    if any(living) and not living[up_axis(window.specific_force)]:
         return Refusal(
             Reason.AXES_DISAGREE,
             f"{alive_finding('gyro', rate, window.specific_force).remedy}; correct the driver, or "

@@ -17,6 +17,7 @@ from magcal_ros.core.doctor import (
     sensor_report,
 )
 from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
+from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.simulation import DEGREE, Robot
 
 EVERY = signed_permutations()
@@ -167,3 +168,14 @@ def test_the_number_of_other_fitting_orientations_is_given():
     (line,) = (f for f in examine(case.log, case.knowledge).findings if f.key == "axes")
     assert "other pairs of orientations of gyro and magnetometer; to tell" in line.evidence
     assert "or drive over a kerb" in line.evidence
+
+
+def test_a_course_determines_the_mounting_if_the_yaw_of_the_imu_is_known():
+    report = examine_window(*good_case(np.random.default_rng([3, 7, 10])))
+    gap = Belief(90.0 * DEGREE, 2.0 * DEGREE)
+    known = report.with_course(gap, Belief(0.0, 2.0 * DEGREE))
+    assert known.mount_rpy_deg == (0, 0, 90)
+    assert known.findings[-1].remedy.startswith("the magnetometer's axes are")
+    unknown = report.with_course(gap, Belief.unknown())
+    assert unknown.mount_rpy_deg is None
+    assert unknown.findings[-1].remedy.startswith("either the magnetometer's axes are")
