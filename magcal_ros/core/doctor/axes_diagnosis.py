@@ -227,7 +227,7 @@ def diagnose_axes(
     gyro_is_half_dead: bool = False,
 ) -> AxesDiagnosis:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
-    misfit, given = hypotheses.misfit, hypotheses.as_given
+    misfit, given = hypotheses.cost - hypotheses.cost.min(), hypotheses.as_given
     if hypotheses.fit.rms[hypotheses.best] > AXES.worst_fit:
         finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return AxesDiagnosis((finding,))

@@ -75,11 +75,6 @@ class AxesHypotheses:
         return np.asarray(self.base + self._inclination_misfit())
 
     @property
-    def misfit(self) -> FloatArray:
-        """Chi-square minus the best, shape (k,)."""
-        return np.asarray(self.cost - self.cost.min())
-
-    @property
     def field_right(self) -> float:
         """The smallest chi-square with the magnetometer's axes as given."""
         return float(self.cost[_are_right(self.field)].min())

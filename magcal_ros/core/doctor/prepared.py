@@ -147,7 +147,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
                 found.append(health.ok_or_severe("frozen", f"{name}: alive", words, remedy))
                 stuck.append(span)
                 break
-    if not stuck or not len(log.imu_time):
+    if not stuck:
         return log, found
     ends = log.imu_time[[0, -1]].tolist()
     pieces = itertools.pairwise([ends[0], *sorted(t for span in stuck for t in span), ends[1]])

@@ -306,7 +306,8 @@ def fit_plane(points: FloatArray) -> Plane:
 def _principal_axes(points: FloatArray, shape: str) -> tuple[FloatArray, FloatArray]:
     """Return points (n, 3) about their centroid, and principal axes; refuse a point or a line."""
     centre, moved = centred(points, 3, shape)
-    spread, axes = np.linalg.svd(moved / np.sqrt(len(points)), full_matrices=False)[1:]
+    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
+    spread = values / np.sqrt(len(points))
     if spread[0] <= SMALLEST * float(np.linalg.norm(centre)) or spread[0] == 0.0:
         words = "All samples are the same point. Turn while the samples are taken."
         raise Refusal(Reason.NO_MOTION, words)
