@@ -173,7 +173,7 @@ class AlignmentFit:
         mirror = np.array([0, 3, 6, 1, 4, 7, 2, 5, 8])
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
         symmetric = np.eye(9) - antisymmetric
-        # Of field, hard iron, up and bias; those of field and up hardly constrain them.
+        # Of field, hard iron, up and bias. Field and up are almost free.
         vectors = np.repeat([1e-3, priors.hard_iron**-2.0, 1e-6, priors.bias**-2.0], 3)
         self.prior = np.diag(np.r_[np.zeros(9), vectors, priors.scale**-2.0, priors.lag**-2.0])
         # A rotation by d has two elements ± d: hence the factor 0.5.
