@@ -25,7 +25,7 @@ from magcal_ros.files.calibration_file import (
     require_not_ours,
     write_calibration,
 )
-from magcal_ros.files.disk import FileError, printable, write_atomically
+from magcal_ros.files.disk import printable, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -60,11 +60,9 @@ def run_check(options: argparse.Namespace) -> int:
     folder = common.new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, recording.reference.field)
     frame = recording.source.field_frame
+    seen = "" if course is None else course.words
     notes = [*_of_another_sensor(origin, frame), *recording.complaints()]
-    slow = recording.collector.slow_field
-    notes += [words for words in (slow, elsewhere) if words]
-    notes += [] if course is None else [course.words]
-    notes += [own] if own else []
+    notes += filter(None, (recording.collector.slow_field, elsewhere, seen, own))
     try:
         with recorded.with_progress(lambda: "checking"):
             window = recording.collector.window(recording.reference.field)
@@ -86,14 +84,18 @@ def run_check(options: argparse.Namespace) -> int:
         magnetometer_frame=frame,
         imu_frame=recording.source.imu_frame,
     )
-    report, trouble = _report(folder, subject)
-    reference = recording.reference.facts
-    facts = {**_facts(result, notes), "reference": reference, "report": report}
-    facts["course"] = None if course is None else course.facts()
-    words = f"{_words(result, notes)}\n\n" + (f"Report: {report}" if report else "No report.")
-    common.tell_result(facts, words, as_json=options.json)
-    if trouble is not None:
-        raise trouble
+    report = None
+    try:
+        with recorded.with_progress(lambda: "writing the report"):
+            report = str(write_report(folder, subject))
+    finally:  # an error must not hide the result
+        facts = _facts(result, notes) | {
+            "reference": recording.reference.facts,
+            "report": report,
+            "course": None if course is None else course.facts(),
+        }
+        words = f"{_words(result, notes)}\n\n" + (f"Report: {report}" if report else "No report.")
+        common.tell_result(facts, words, as_json=options.json)
     if not result.verdict.accepted:
         return common.Exit.REFUSED
     return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
@@ -106,15 +108,6 @@ def _of_another_sensor(origin: Origin | None, frame: str) -> list[str]:
         return []
     names = f"made for the magnetometer {printable(made_for)}, but this is {printable(frame)}"
     return [f"the calibration was {names}"]
-
-
-def _report(folder: Path, subject: Subject) -> tuple[str | None, FileError | None]:
-    """Write the report; returns its path, or the error, which must not hide the result."""
-    try:
-        with recorded.with_progress(lambda: "writing the report"):
-            return str(write_report(folder, subject)), None
-    except FileError as error:
-        return None, error
 
 
 NOT_JUDGED = "This recording does not show whether the calibration holds."
@@ -200,9 +193,8 @@ def run_drive(options: argparse.Namespace) -> int:
     ~/accept. A map shows where the field is disturbed. Exit status: 0 a calibration is in force at
     the end, 2 usage, 3 no calibration is in force, 5 file trouble.
     """
-    initial, made = None, None
-    if options.calibration is not None:
-        initial, made = read_calibration(options.calibration)
+    given = options.calibration
+    initial, made = (None, None) if given is None else read_calibration(given)
     folder = common.new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
         reference = common.reference_in_use(options, source.place, source.first_stamp)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -90,12 +90,12 @@ def run(options: argparse.Namespace) -> int:
     if options.compare:
         common.tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
-    quality = fitted.outcome.verdict.quality.value
-    with recorded.with_progress(lambda: f"quality {quality}; writing the report"):
-        files, trouble = _write_files(folder, fitted, options)
-    common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
-    if trouble is not None:
-        raise trouble
+    quality, files = fitted.outcome.verdict.quality.value, list[Path]()
+    try:
+        with recorded.with_progress(lambda: f"quality {quality}; writing the report"):
+            files.extend(_write_files(folder, fitted, options))
+    finally:  # an error must not hide the result
+        common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
     return fitted.status
 
 
@@ -128,50 +128,37 @@ def _fit(
     # reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.collector.mounting)
-    at_headings = recorded.fit_known(options, knowledge)
-    if at_headings is not None:
-        return FitResult(everything[-1], knowledge, at_headings, everything)
-    if len(everything) == 1:
+    recording, outcome = everything[-1], recorded.fit_known(options, knowledge)
+    if outcome is None and len(everything) == 1:
         outcome = fit_collected(known.collector, knowledge, options.method, report_share)
-        return FitResult(known, knowledge, outcome, everything)
-    names = names_of([str(path) for path in options.recordings])
-    collectors = [each.collector for each in everything]
-    outcome, newest = fit_several(collectors, names, knowledge, options.method)
-    recording = replace(everything[newest], reference=known.reference)
+    elif outcome is None:
+        names = names_of([str(path) for path in options.recordings])
+        collectors = [each.collector for each in everything]
+        outcome, newest = fit_several(collectors, names, knowledge, options.method)
+        recording = replace(everything[newest], reference=known.reference)
     return FitResult(recording, knowledge, outcome, everything)
 
 
-def _write_files(
-    folder: Path, fitted: FitResult, options: argparse.Namespace
-) -> tuple[list[Path], FileError | None]:
-    """Write the result into the folder; returns the files, and the error that stopped it."""
-    files = list[Path]()
-    outcome, recording = fitted.outcome, fitted.recording
-    try:
-        if outcome.calibration is not None and outcome.verdict.accepted:
-            origin = Origin.now(recording.source.field_frame, recording.source.imu_frame)
-            file = folder / common.CALIBRATION
-            write_calibration(file, outcome.calibration, origin, remedy=common.REMEDY)
-            files.append(file)
-        if outcome.window is not None:
-            files.append(write_report(folder, _subject(fitted, outcome.window, options)))
-    except FileError as error:
-        return files, error
-    return files, None
-
-
-def _subject(fitted: FitResult, window: Window, options: argparse.Namespace) -> Subject:
-    recording = fitted.recording
-    return Subject(
-        window,
-        fitted.knowledge,
-        fitted.outcome,
-        source=f"{', '.join(printable(str(path)) for path in options.recordings)} "
-        f"({recording.source.field_topic} and {recording.source.imu_topic})",
-        method=options.method,
-        magnetometer_frame=recording.source.field_frame,
-        imu_frame=recording.source.imu_frame,
-    )
+def _write_files(folder: Path, fitted: FitResult, options: argparse.Namespace) -> Iterator[Path]:
+    """Write the result into the folder, and yield each file that was written."""
+    outcome, source = fitted.outcome, fitted.recording.source
+    if outcome.calibration is not None and outcome.verdict.accepted:
+        origin = Origin.now(source.field_frame, source.imu_frame)
+        file = folder / common.CALIBRATION
+        write_calibration(file, outcome.calibration, origin, remedy=common.REMEDY)
+        yield file
+    if outcome.window is not None:
+        paths = ", ".join(printable(str(path)) for path in options.recordings)
+        subject = Subject(
+            outcome.window,
+            fitted.knowledge,
+            outcome,
+            source=f"{paths} ({source.field_topic} and {source.imu_topic})",
+            method=options.method,
+            magnetometer_frame=source.field_frame,
+            imu_frame=source.imu_frame,
+        )
+        yield write_report(folder, subject)
 
 
 GIVE_PLACE = (
