@@ -139,18 +139,17 @@ def wrapped(text: str, width: int) -> str:
     return "\n".join(lines)
 
 
-PARAMETER = re.compile(
-    r"\b(reference\.)?(strength_ut|inclination_deg|declination_deg|mount_rpy_deg|soft_iron_gains"
-    r"|latitude_deg|longitude_deg)\b"
-)
 OPTIONS = {
-    "mount_rpy_deg": "--mount-rpy-deg",
-    "soft_iron_gains": "--soft-iron-gains",
+    "strength_ut": "--reference-strength-ut",
+    "inclination_deg": "--reference-inclination-deg",
+    "declination_deg": "--reference-declination-deg",
     "latitude_deg": "--latitude",
     "longitude_deg": "--longitude",
+    "mount_rpy_deg": "--mount-rpy-deg",
+    "soft_iron_gains": "--soft-iron-gains",
 }
-
-
+"""Option by parameter of the node, without its prefix."""
+PARAMETER = re.compile(rf"\b(?:reference\.)?({'|'.join(OPTIONS)})\b")
 SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")
 """Advice for the node's parameter file, to be replaced by the option."""
 
@@ -162,11 +161,7 @@ def with_options(words: str) -> str:
         angles = " ".join(f"{float(angle):g}" for angle in found[1].split(","))
         return f"repeat with `--mount-rpy-deg {angles}`"
 
-    def option(found: re.Match[str]) -> str:
-        name = found[2]
-        return OPTIONS.get(name, f"--reference-{name.replace('_', '-')}")
-
-    return PARAMETER.sub(option, SET_MOUNTING.sub(mounting, words))
+    return PARAMETER.sub(lambda found: OPTIONS[found[1]], SET_MOUNTING.sub(mounting, words))
 
 
 def document(content: Mapping[str, Any]) -> str:

@@ -149,8 +149,7 @@ def _recorded(options: argparse.Namespace) -> DoctorInput:
     rest = {ImuSample: MOST_SAMPLES, FieldSample: MOST_SAMPLES}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
-        for count, reading in enumerate(readings):
-            shares[0] = count / max(source.count, 1)
+        for reading in readings:
             if reading is not None and rest[type(reading)] > 0:
                 rest[type(reading)] -= 1
                 samples.append(reading)
@@ -159,8 +158,8 @@ def _recorded(options: argparse.Namespace) -> DoctorInput:
     mounting = recorded.mounting_from(options)
     with recorded.opened(options, options.recording) as source:
         collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
-        shares = [0.0]
-        with recorded.with_progress(lambda: f"reading, {100.0 * shares[0]:.0f}%"):
+        percent = 100.0 / max(source.count, 1)
+        with recorded.with_progress(lambda: f"reading, {percent * sum(collector.received):.0f}%"):
             collector.take(kept(source.readings()))
         newest = collector.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)
@@ -328,16 +327,12 @@ class GuidePrompts:
         """Show the present step, and the remaining seconds."""
         if guide.current is None:
             return
-        line = f"  [ ] {ASKED[guide.current]}"
+        line, begin, end = f"  [ ] {ASKED[guide.current]}", "", "\n"
         if self._rewrites:
-            line += f" ({guide.left(now):.0f} s left)"
-        if line == self._shown:
-            return
-        self._shown = line
-        if self._rewrites:
-            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
-        else:
-            say(line)
+            line, begin, end = f"{line} ({guide.left(now):.0f} s left)", "\r", "\033[K"
+        if line != self._shown:
+            self._shown = line
+            print(f"{begin}{line}", end=end, file=sys.stderr, flush=True)
 
     def is_skipped(self) -> bool:
         """Return whether the Enter key was pressed."""

@@ -61,7 +61,8 @@ RECORDINGS = (
     "gps.csv), a log of ArduPilot (.BIN, .log, .tlog) or PX4 (.ulg), or the unpacked folder of a "
     "phone's Sensor Logger or phyphox"
 )
-ANGLES = ("ROLL", "PITCH", "YAW")
+ANGLES, DEGREES = ("ROLL", "PITCH", "YAW"), number(-360.0, 360.0)
+"""Names of three angles in the help, and the parser of an angle."""
 USUAL_SIGMA_DEG = 2.0  # of a heading that a person gives
 
 
@@ -69,20 +70,14 @@ def add_recording_options(
     parser: argparse.ArgumentParser, *, several: bool = False, optional: bool = False
 ) -> None:
     """Add the recording, or several as `recordings`, and the options for topics and span."""
-    if several:
-        words = f"{RECORDINGS}; turns of several recordings are joined"
-        many: dict[str, Any] = {"dest": "recordings", "nargs": "+", "metavar": "recording"}
-        parser.add_argument(type=Path, help=words, **many)
-    else:
-        count = "?" if optional else None
-        parser.add_argument("recording", type=Path, nargs=count, help=RECORDINGS)
-    for option, words in (
-        ("--imu", "Imu topic of a bag, or IMU[1] of a log"),
-        ("--mag", "field topic; MAG[1] of a log"),
-    ):
-        parser.add_argument(option, default="", metavar="TOPIC", help=words)
+    name, count = ("recordings", "+") if several else ("recording", "?" if optional else None)
+    words = f"{RECORDINGS}; turns of several recordings are joined" if several else RECORDINGS
+    parser.add_argument(name, type=Path, nargs=count, metavar="recording", help=words)
+    imu, field = "Imu topic of a bag, or IMU[1] of a log", "field topic; MAG[1] of a log"
+    parser.add_argument("--imu", default="", metavar="TOPIC", help=imu)
+    parser.add_argument("--mag", default="", metavar="TOPIC", help=field)
     words = "pose of a log's or phone's sensors in the vehicle, ° (not of a bag)"
-    add_vector_option(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
+    parser.add_argument("--imu-rpy-deg", type=DEGREES, nargs=3, metavar=ANGLES, help=words)
     span: dict[str, Any] = {"type": number(0.0, math.inf), "metavar": "SECONDS"}
     before = "leave out the part before this time, counted from the start of the recording"
     after = "leave out the part after this time"
@@ -91,24 +86,21 @@ def add_recording_options(
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
-def add_vector_option(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
-    """Add an option with three numbers."""
-    parser.add_argument(option, type=kind, nargs=3, help=words, **about)
-
-
 def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for prior knowledge, with the ranges and defaults of the node."""
     add_reference_options(parser)
     group = parser.add_argument_group("the sensor (all optional)")
-    gains: dict[str, Any] = {"default": [1.0] * 3, "metavar": ("X", "Y", "Z")}
+    gain, axes = number(0.1, 10.0), ("X", "Y", "Z")
     words = "known gains of the magnetometer's axes"
-    add_vector_option(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
-    pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
+    group.add_argument(
+        "--soft-iron-gains", type=gain, nargs=3, default=[1.0] * 3, metavar=axes, help=words
+    )
     words = "nominal pose of the magnetometer in the IMU's frame, °"
-    add_vector_option(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
+    group.add_argument(
+        "--mount-rpy-deg", type=DEGREES, nargs=3, default=[0.0] * 3, metavar=ANGLES, help=words
+    )
     words = "yaw of the IMU in the vehicle, to the left of the vehicle's front, °"
-    turned: dict[str, Any] = {"default": 0.0, "metavar": "YAW", "help": words}
-    group.add_argument("--vehicle-yaw-deg", type=number(-360.0, 360.0), **turned)
+    group.add_argument("--vehicle-yaw-deg", type=DEGREES, default=0.0, metavar="YAW", help=words)
 
 
 def mounting_from(options: argparse.Namespace) -> Mounting:
@@ -187,7 +179,7 @@ def add_heading_options(parser: Any) -> None:
     known = parser.add_argument_group("known headings, in place of a turn")
     known.add_argument(
         "--heading-deg",
-        type=number(-360.0, 360.0),
+        type=DEGREES,
         nargs="+",
         metavar="YAW",
         help="heading of the IMU's x axis at rest in each recording: ENU yaw, 0 to the east, 90 to "
