@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from datetime import datetime, timezone
 from html import escape
 from pathlib import Path
@@ -80,17 +81,13 @@ def render_drive(replay: DriveReplay, source: str) -> str:
 
 def summary_of(replay: DriveReplay) -> str:
     """Return the result of a drive in two or three sentences."""
-    changed = [
-        made
-        for _, made in replay.decisions
-        if made.kind in (DecisionKind.APPLIED, DecisionKind.REFINED)
-    ]
-    back = sum(made.kind is DecisionKind.ROLLED_BACK for _, made in replay.decisions)
+    count = Counter(made.kind for _, made in replay.decisions)
+    changed = count[DecisionKind.APPLIED] + count[DecisionKind.REFINED]
+    back = count[DecisionKind.ROLLED_BACK]
     drove = f"{_duration(replay.seconds)} recorded, {_duration(replay.moved)} of movement"
     if changed:
-        result = "one calibration from driving was put in force"
-        if len(changed) > 1:
-            result = f"{len(changed)} calibrations from driving were put in force"
+        several = f"{changed} calibrations from driving were put in force"
+        result = several if changed > 1 else "one calibration from driving was put in force"
         result += f", and {back} taken back" if back else ""
     elif replay.fault:
         result = (
@@ -99,10 +96,9 @@ def summary_of(replay: DriveReplay) -> str:
         )
     elif replay.first_calibration is None:
         result = "no calibration was in force, and the drive was not sufficient for one"
-        waits = any(made.kind is DecisionKind.PROBATION for _, made in replay.decisions)
         result += (
             " (a second calibration that agrees with the first was still missing)"
-            if waits
+            if count[DecisionKind.PROBATION]
             else " (that takes some minutes of driving, over half of all headings)"
         )
     else:
@@ -125,28 +121,17 @@ def _duration(seconds: float) -> str:
 
 def _before_and_after(replay: DriveReplay) -> str:
     title = "<h2>Calibration before and after</h2>"
-    if replay.first_calibration is None and replay.last_calibration is None:
-        return f"{title}<p>None.</p>{_course(replay)}"
-    rows = (
-        ("before", *_cells(replay.first_calibration)),
-        ("after", *_cells(replay.last_calibration)),
-    )
+    first, last = replay.first_calibration, replay.last_calibration
+    course = f'<p id="course">After: {escape(replay.course)}.</p>' if replay.course else ""
+    if first is None and last is None:
+        return f"{title}<p>None.</p>{course}"
+    rows = ("before", *_cells(first)), ("after", *_cells(last))
     heads = ("", "made by", "heading (1σ)", "along the drive", "hard iron, µT", "why")
-    first_calibration, last_calibration = replay.first_calibration, replay.last_calibration
     apart = ""
-    if (
-        first_calibration is not None
-        and last_calibration is not None
-        and first_calibration.correction is not last_calibration.correction
-    ):
-        swing = math.degrees(difference(first_calibration, last_calibration))
+    if first is not None and last is not None and first.correction is not last.correction:
+        swing = math.degrees(difference(first, last))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
-    apart += _course(replay)
-    return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}'
-
-
-def _course(replay: DriveReplay) -> str:
-    return f'<p id="course">After: {escape(replay.course)}.</p>' if replay.course else ""
+    return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}{course}'
 
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:

@@ -31,9 +31,7 @@ def draw(figure: Figure, turn: Turn, corrected: CorrectedTurn) -> None:
 
 def caption(turn: Turn, corrected: CorrectedTurn) -> str:
     """Return the explanation of the picture for users who are not experts."""
-    by = "the gyro"
-    if not turn.has_gyro:
-        by = "the smoothed corrected heading (there is no gyro)"
+    by = "the gyro" if turn.has_gyro else "the smoothed corrected heading (there is no gyro)"
     kept = turn.inliers & np.isfinite(corrected.sigma)
     inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
     scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
@@ -137,12 +135,8 @@ def deviations(turn: Turn, corrected: CorrectedTurn) -> tuple[FloatArray, FloatA
 
 def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
     where = ((wrap_angle(heading) + math.pi) * (BINS / math.tau)).astype(int) % BINS
-    found = np.full(BINS, np.nan)
-    for number in range(BINS):
-        here = where == number
-        if here.any():
-            found[number] = mean_angle(deviation[here])
-    return found
+    groups = (deviation[where == number] for number in range(BINS))
+    return np.array([mean_angle(group) if len(group) else math.nan for group in groups])
 
 
 def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: str) -> None:

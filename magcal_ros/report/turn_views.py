@@ -73,9 +73,8 @@ def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
 def _inline(svg: str, name: str, words: str) -> str:
     """Return an SVG file as a part of a page, with unique ids and short numbers."""
     body = svg[svg.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)
-    body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.S)
-    body = re.sub(r"<!--.*?-->", "", body, flags=re.S)
+    extra = r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->"
+    body = re.sub(extra, "", body, flags=re.S)
     view = re.search(r'viewBox="[^"]*"', body)
     box = view.group(0) if view else ""
     opening = f'<svg {box} role="img" aria-label="{words}">'
