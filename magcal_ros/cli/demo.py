@@ -234,10 +234,8 @@ def _require_stamps(folder: Path, recording: Recording) -> None:
         bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))
         if bad.any():
             row = int(np.argmax(bad))
-            raise FileError(
-                f"{printable(str(folder / name))} cannot be replayed: sample {row + 1} has "
-                f"the stamp {stamps[row]:g}"
-            )
+            words = f"cannot be replayed: sample {row + 1} has the stamp {stamps[row]:g}"
+            raise FileError.of(folder / name, words)
 
 
 def _frame(text: str) -> str:

@@ -23,8 +23,8 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
-from magcal_ros.files.dataflash import BINARY, DataFlash, flat_arrays, read_dataflash
-from magcal_ros.files.disk import FileError, printable
+from magcal_ros.files.dataflash import BINARY, DataFlash, flat_arrays, read_dataflash, tables_of
+from magcal_ros.files.disk import FileError
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
@@ -79,9 +79,7 @@ def read_ardupilot(
     telemetry = path.suffix.lower() == ".tlog"
     is_text = path.suffix.lower() == ".log" and b"FMT," in head
     if not (telemetry or is_text or head[:2] == BINARY):
-        raise FileError(
-            f"{printable(str(path))} is not a DataFlash log: its first bytes are not those of one"
-        )
+        raise FileError.of(path, "is not a DataFlash log: its first bytes are not those of one")
     with logs.limited(path, progress) as deadline:
         if telemetry:
             tables = _tables(_telemetry(path, deadline), TRANSMITTED)
@@ -172,9 +170,7 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> DataFlash:
     finally:
         reader.close()
     if not known:
-        raise FileError(
-            f"{printable(str(path))} is not a telemetry log: no MAVLink message is in it"
-        )
+        raise FileError.of(path, "is not a telemetry log: no MAVLink message is in it")
     return read.logged()
 
 
@@ -186,7 +182,7 @@ class _Telemetry:
 
     def __init__(self) -> None:
         self._rows = flat_arrays()
-        self._found = DataFlash()
+        self._parameters: list[tuple[float, str, float]] = []
         self._system: int | None = None
         self._booted = self._own = math.nan
 
@@ -207,7 +203,7 @@ class _Telemetry:
         elif kind == "ATTITUDE":
             self._rows["ATT"].extend((self._by_own_clock(m), math.degrees(m.yaw)))
         elif kind == "PARAM_VALUE":
-            self._found.parameters.append((m._timestamp, m.param_id, float(m.param_value)))
+            self._parameters.append((m._timestamp, m.param_id, float(m.param_value)))
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
             motion = 0.01 * m.vel, 0.01 * m.cog
@@ -225,15 +221,15 @@ class _Telemetry:
 
     def logged(self) -> DataFlash:
         """Return the collected messages."""
-        self._found.add_rows(self._rows)
-        for kind in ("IMU", "MAG"):
-            table = self._found.tables.get(kind, np.empty((0, 2)))
+        tables = tables_of(self._rows)
+        for kind in {"IMU", "MAG"} & tables.keys():
+            table = tables[kind]
             repeated = table[:, 1] == REPEATED
             if (table[:, 1] == 0.0).any():
-                self._found.tables[kind] = table[~repeated]
+                tables[kind] = table[~repeated]
             else:
                 table[repeated, 1] = 0.0
-        return self._found
+        return DataFlash(tables, self._parameters)
 
 
 def _sort_sensors(

@@ -77,13 +77,11 @@ class Bag:
         self._path, self._reader = path, reader
         self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
-            raise FileError(f"{printable(str(path))} holds no messages: record again")
-        self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
-        self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
-        self.imu_topic, self.field_topic = (
-            printable(self._imu[0].topic),
-            printable(self._field[0].topic),
-        )
+            raise FileError.of(path, "holds no messages: record again")
+        self._imu = self._find(IMU_TYPE, imu, "--imu")
+        self._field = self._find(FIELD_TYPE, field, "--mag")
+        self.imu_topic = printable(self._imu[0].topic)
+        self.field_topic = printable(self._field[0].topic)
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
@@ -159,7 +157,7 @@ class Bag:
 
         FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
-        chosen = _named(self._path, self._reader, IMU_TYPE, topic)
+        chosen = self._named(IMU_TYPE, topic)
         late: list[float] = []  # time of recording minus stamp
 
         def take(_: Connection, received: int, data: bytes) -> HeadingSample | str:
@@ -171,13 +169,45 @@ class Bag:
         found = [each for each in read if not isinstance(each, str)]
         why = "" if found else read[-1] if read else "it is empty"
         if found:
-            imu = self._read(
-                self._imu, lambda _, at, data: at * 1e-9 - self._format.header(data)[0]
-            )
+            header = self._format.header
+            imu = self._read(self._imu, lambda _, at, data: at * 1e-9 - header(data)[0])
             why = wrong_clock(float(np.median(late)) - next(imu, math.inf), self.imu_topic)
         if why:
             raise FileError(f"{printable(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
+
+    def _find(self, msgtype: str, wanted: str, option: str) -> list[Connection]:
+        """Return the connections of the wanted topic, or of the only one of this type."""
+        if wanted:
+            return self._named(msgtype, wanted)
+        fitting = self._of(msgtype)
+        topics = sorted({connection.topic for connection in fitting})
+        kind = msgtype.replace("/msg/", "/")
+        if not topics:
+            words = f"has no {kind} messages; it has: {self._listed()}"
+            raise FileError.of(
+                self._path, f"{words}. Record the IMU's and the magnetometer's topics"
+            )
+        if len(topics) > 1:
+            names = f"{len(topics)} topics of {kind}: {', '.join(map(printable, topics))}"
+            bag = printable(str(self._path))
+            raise UsageError(f"{bag} has {names}; choose one with {option}")
+        return fitting
+
+    def _named(self, msgtype: str, wanted: str) -> list[Connection]:
+        found = [c for c in self._reader.connections if c.topic == wanted]
+        wrong = [f"{printable(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
+        if wrong:
+            raise FileError(f"{printable(wanted)} is {wrong[0]}; the bag has: {self._listed()}")
+        if not found:
+            words = f"has no topic {printable(wanted)}; it has: {self._listed()}"
+            raise FileError.of(self._path, words)
+        return found
+
+    def _listed(self) -> str:
+        every = self._reader.connections
+        names = {f"{printable(c.topic)} ({printable(c.msgtype)})" for c in every}
+        return ", ".join(sorted(names)) or "nothing"
 
     def _of(self, *kinds: str) -> list[Connection]:
         """Return the connections of some types that hold messages."""
@@ -332,17 +362,18 @@ def _library_reader(path: Path) -> AnyReader:
 def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
-            raise FileError(
-                f"{printable(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, "
-                "a phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
-                "metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be named "
-                "itself)"
+            raise FileError.of(
+                path,
+                "is not a recording: a CSV folder has imu.csv and mag.csv, a phone's folder "
+                "accelerometer, gyroscope and magnetometer as CSV, a bag has metadata.yaml (`ros2 "
+                "bag reindex` writes it; a single .mcap or .db3 may be named itself)",
             )
     elif path.suffix not in REMEDIES:
-        raise FileError(
-            f"{printable(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
-            "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
-            "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
+        raise FileError.of(
+            path,
+            "is not a recording: name a bag (folder, .mcap, .db3, .bag), a folder with imu.csv and "
+            "mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 (.ulg), or the unpacked folder "
+            "of a phone's Sensor Logger or phyphox",
         )
     for file in path.rglob("*") if path.is_dir() else [path]:
         # Opening a pipe would block.
@@ -351,47 +382,11 @@ def _refuse_other_files(path: Path) -> None:
 
 
 def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
-    def remedy() -> str:
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        found = [REMEDIES[file.suffix] for file in files if file.suffix in REMEDIES]
-        return f"Record again; {found[0]}." if found else "Record again."
-
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    found = [REMEDIES[file.suffix] for file in files if file.suffix in REMEDIES]
+    remedy = f"Record again; {found[0]}." if found else "Record again."
     return damage_in_words(path, "cut short", remedy)
 
 
-def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> list[Connection]:
-    """Return the connections of the wanted topic, or of the only one of this type."""
-    if wanted:
-        return _named(path, reader, msgtype, wanted)
-    fitting = [c for c in reader.connections if c.msgtype == msgtype and c.msgcount]
-    topics = sorted({connection.topic for connection in fitting})
-    kind = msgtype.replace("/msg/", "/")
-    if not topics:
-        raise FileError(
-            f"{printable(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
-            "Record the IMU's and the magnetometer's topics"
-        )
-    if len(topics) > 1:
-        names = f"{len(topics)} topics of {kind}: {', '.join(map(printable, topics))}"
-        raise UsageError(f"{printable(str(path))} has {names}; choose one with {option}")
-    return fitting
-
-
-def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connection]:
-    found = [c for c in reader.connections if c.topic == wanted]
-    wrong = [f"{printable(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
-    if wrong:
-        raise FileError(f"{printable(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
-    if not found:
-        words = f"{printable(str(path))} has no topic {printable(wanted)}"
-        raise FileError(f"{words}; it has: {_listed(reader)}")
-    return found
-
-
-def _listed(reader: Any) -> str:
-    names = sorted({f"{printable(c.topic)} ({printable(c.msgtype)})" for c in reader.connections})
-    return ", ".join(names) or "nothing"
-
-
 def _nanoseconds(seconds: float) -> int:
-    return LATEST if math.isinf(seconds) else min(round(seconds * 1e9), LATEST)
+    return round(min(seconds * 1e9, LATEST))

@@ -10,9 +10,8 @@ from __future__ import annotations
 from array import array
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,23 +38,22 @@ COLUMNS = {
 GPS_MESSAGES = ("GPS", "GPS2")
 
 
-@dataclass
-class DataFlash:
+class DataFlash(NamedTuple):
     """The contents of a log; the numbers are as logged."""
 
-    tables: dict[str, FloatArray] = field(default_factory=dict)
+    tables: dict[str, FloatArray]
     """By message type: the stamp and `COLUMNS`, NaN for columns that a release does not log."""
-    parameters: list[tuple[float, str, float]] = field(default_factory=list)  # stamp, name, value
-
-    def add_rows(self, rows: Mapping[str, array[float]]) -> None:
-        """Add tables that are given row by row as flat arrays, a tenth of the memory of rows."""
-        for kind, numbers in rows.items():
-            self.tables[kind] = np.array(numbers).reshape(-1, 1 + len(COLUMNS[kind]))
+    parameters: list[tuple[float, str, float]]  # stamp, name, value
 
 
 def flat_arrays() -> dict[str, array[float]]:
-    """Return empty arrays, by message type, for `DataFlash.add_rows`."""
+    """Return empty arrays for rows, by message type: a tenth of the memory of tuples."""
     return defaultdict(lambda: array("d"))
+
+
+def tables_of(rows: Mapping[str, array[float]]) -> dict[str, FloatArray]:
+    """Return the tables of rows that were appended to flat arrays."""
+    return {k: np.array(flat).reshape(-1, 1 + len(COLUMNS[k])) for k, flat in rows.items()}
 
 
 def read_dataflash(path: Path, head: bytes, deadline: logs.Deadline) -> DataFlash:
@@ -96,7 +94,7 @@ def _format(reader: Any, kind: str) -> Any:
 
 
 def _by_type(reader: Any, codes: Any, deadline: logs.Deadline) -> DataFlash:
-    found = DataFlash()
+    tables, parameters = dict[str, FloatArray](), list[tuple[float, str, float]]()
     for count, kind in enumerate(COLUMNS):
         deadline.report(count / len(COLUMNS))
         if not _count(reader, kind):
@@ -108,12 +106,12 @@ def _by_type(reader: Any, codes: Any, deadline: logs.Deadline) -> DataFlash:
         columns = [
             rows[name] * (scales[name] or 1) if name in scales else absent for name in COLUMNS[kind]
         ]
-        found.tables[kind] = np.column_stack([stamps, *columns]).astype(np.float64)
+        tables[kind] = np.column_stack([stamps, *columns]).astype(np.float64)
     if _count(reader, "PARM"):
         rows, stamps = _rows(reader, "PARM", codes)
         names = (each.decode(errors="replace") for each in rows["Name"].tolist())
-        found.parameters = list(zip(stamps.tolist(), names, rows["Value"].tolist(), strict=True))
-    return found
+        parameters = list(zip(stamps.tolist(), names, rows["Value"].tolist(), strict=True))
+    return DataFlash(tables, parameters)
 
 
 def _rows(reader: Any, kind: str, codes: Any) -> tuple[Any, FloatArray]:
@@ -134,7 +132,7 @@ def _rows(reader: Any, kind: str, codes: Any) -> tuple[Any, FloatArray]:
 
 
 def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
-    found, flat = DataFlash(), flat_arrays()
+    flat, parameters = flat_arrays(), list[tuple[float, str, float]]()
     wanted, count = [*COLUMNS, "PARM"], 0
     while (message := reader.recv_match(type=wanted, strict=True)) is not None:
         if count % logs.EVERY == 0:
@@ -142,9 +140,8 @@ def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
         count += 1
         kind, stamp = message.get_type(), message._timestamp
         if kind == "PARM":
-            found.parameters.append((stamp, message.Name, float(message.Value)))
+            parameters.append((stamp, message.Name, float(message.Value)))
         else:
             row = (float(getattr(message, name, np.nan)) for name in COLUMNS[kind])
             flat[kind].extend((stamp, *row))
-    found.add_rows(flat)
-    return found
+    return DataFlash(tables_of(flat), parameters)

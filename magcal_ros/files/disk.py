@@ -19,6 +19,11 @@ from magcal_ros.core.errors import MagcalError
 class FileError(MagcalError):
     """A file cannot be read or written; the text names the file, the reason and a remedy."""
 
+    @classmethod
+    def of(cls, path: Path, words: str) -> FileError:
+        """Return an error whose text begins with the path, in printable characters."""
+        return cls(f"{printable(str(path))} {words}")
+
 
 UNFINISHED = ".magcal-unfinished"
 """Suffix of files that are being written; a killed process may leave one behind."""
@@ -39,15 +44,18 @@ def write_atomically(
     immediately before it replaces the old content.
     """
     try:
-        target = Path(os.path.realpath(path))
-        before = _status_of(target)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(target)
-        name = target.with_name(f".{target.name}.{os.urandom(4).hex()}{UNFINISHED}")
-        mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
-        descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        _replace(Path(os.path.realpath(path)), text, when_written)
     except OSError as error:
-        raise _trouble(path, error, remedy) from error
+        raise FileError(f"cannot write {path}: {error.strerror or error}. {remedy}") from error
+
+
+def _replace(target: Path, text: str, when_written: Callable[[], object] | None) -> None:
+    before = _status_of(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _remove_abandoned(target)
+    name = target.with_name(f".{target.name}.{os.urandom(4).hex()}{UNFINISHED}")
+    mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
+    descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as handle:
             handle.write(text)
@@ -58,11 +66,9 @@ def write_atomically(
         if when_written is not None:
             when_written()
         os.replace(name, target)
-    except BaseException as error:
+    except BaseException:
         with contextlib.suppress(OSError):
             os.unlink(name)
-        if isinstance(error, OSError):
-            raise _trouble(path, error, remedy) from error
         raise
     _sync_folder(target.parent)
 
@@ -111,10 +117,6 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def _trouble(path: Path, error: OSError, remedy: str) -> FileError:
-    return FileError(f"cannot write {path}: {error.strerror or error}. {remedy}")
 
 
 LONGEST = 200
@@ -169,7 +171,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 @contextlib.contextmanager
-def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
+def damage_in_words(path: Path, damage: str, remedy: str) -> Iterator[None]:
     """Raise any error of a library that reads damaged bytes as a FileError."""
     try:
         yield
@@ -179,9 +181,7 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
         raise FileError(f"cannot read {printable(str(path))}: {error.strerror or error}") from error
     except Exception as error:  # a damaged file may cause any error in a parser
         reason = printable(" ".join(str(error).split()) or type(error).__name__)
-        raise FileError(
-            f"{printable(str(path))} is damaged or {damage} ({reason}). {remedy()}"
-        ) from error
+        raise FileError.of(path, f"is damaged or {damage} ({reason}). {remedy}") from error
 
 
 def with_time_limit(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:

@@ -105,22 +105,19 @@ class Sensors:
         if wanted:
             found = [k for k in numbers if wanted in (self.called(k), str(k))]
             if not found:
-                raise FileError(
-                    f"{printable(str(path))} has no {printable(wanted)}; it has: {every or 'none'}."
-                    f" Choose with {option}"
-                )
+                words = f"has no {printable(wanted)}; it has: {every or 'none'}"
+                raise FileError.of(path, f"{words}. Choose with {option}")
             numbers = found
         if not numbers:
-            raise FileError(f"{printable(str(path))} has no {self.name} data: {self.remedy}")
+            raise FileError.of(path, f"has no {self.name} data: {self.remedy}")
         faults = {k: words for k in numbers if (words := self._fault(k))}
+        why = "; ".join(faults.values())
         if len(faults) == len(numbers):
-            raise FileError(
-                f"{printable(str(path))} has no working {kind}: {'; '.join(faults.values())}. "
-                f"{self.remedy[:1].upper()}{self.remedy[1:]}"
-            )
+            remedy = self.remedy[:1].upper() + self.remedy[1:]
+            raise FileError.of(path, f"has no working {kind}: {why}. {remedy}")
         chosen = next(k for k in numbers if k not in faults)
         if len(numbers) > 1:
-            why = f" ({'; '.join(faults.values())})" if faults else ""
+            why = f" ({why})" if why else ""
             reason = f", {self.reason}" if self.reason and chosen == self.order[0] else ""
             notes.append(
                 f"the log has {every}{why}: {self.called(chosen)} is used{reason}; choose another "
@@ -234,12 +231,11 @@ def first_bytes(path: Path, count: int) -> bytes:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"cannot read {printable(str(path))}: {reason}") from error
     if not size:
-        raise FileError(f"{printable(str(path))} is empty: copy or download it again")
+        raise FileError.of(path, "is empty: copy or download it again")
     if size > LARGEST_LOG:
-        raise FileError(
-            f"{printable(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
-            f"{LARGEST_LOG / GIGABYTE:g} GiB are read: record the turn in a log of its own"
-        )
+        limit = f"logs up to {LARGEST_LOG / GIGABYTE:g} GiB are read"
+        words = f"has {size / GIGABYTE:.1f} GiB, and {limit}: record the turn in a log of its own"
+        raise FileError.of(path, words)
     return head
 
 
@@ -248,7 +244,7 @@ def limited(path: Path, progress: Progress | None) -> Iterator[Deadline]:
     """Discard the output of a library within a deadline, and raise its errors as `FileError`."""
     deadline = Deadline(path, progress)
     with (
-        damage_in_words(path, "no log of its kind", lambda: "Download it again"),
+        damage_in_words(path, "no log of its kind", "Download it again"),
         contextlib.redirect_stdout(deadline),
         contextlib.redirect_stderr(deadline),
     ):

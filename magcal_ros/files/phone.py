@@ -10,6 +10,7 @@ in the vehicle.
 from __future__ import annotations
 
 import contextlib
+import csv
 import math
 import re
 from dataclasses import replace
@@ -21,7 +22,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileError, printable
+from magcal_ros.files.disk import FileError
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
@@ -65,16 +66,18 @@ def read_phone(path: Path) -> Recording:
     if force is None or field is None:
         names = zip(("accelerometer", "field"), (force, field), strict=True)
         missing = [name for name, table in names if table is None]
-        raise FileError(
-            f"{printable(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
-            "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"
+        raise FileError.of(
+            path,
+            f"has no {' and no '.join(missing)}. Record accelerometer (with gravity), gyroscope "
+            "and magnetometer with the phone, and unpack what it exports",
         )
     size = usual_size(force[:, 1:])
     if size < LEAST_GRAVITY:
-        raise FileError(
-            f"{printable(str(path))} has acceleration without gravity ({size:.1f} m/s²): record "
-            "the accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
-            "Acceleration, or Gravity beside the accelerometer)"
+        raise FileError.of(
+            path,
+            f"has acceleration without gravity ({size:.1f} m/s²): record the accelerometer with "
+            "gravity (phyphox: Acceleration with g; Sensor Logger: Total Acceleration, or Gravity "
+            "beside the accelerometer)",
         )
     turns = np.full_like(force[:, 1:], math.nan)
     if rate is None:
@@ -145,15 +148,11 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
 
 def _points_down(path: Path, headers: dict[str, list[str]]) -> bool:
     """Whether the accelerometer has the sign of iOS: -1 g on z if the screen points up."""
-    header = headers.get(METADATA, [])
-    if not {"platform", "standardisation"} <= set(header):
+    if not {"platform", "standardisation"} <= set(headers.get(METADATA, [])):
         return False
     lines = (path / METADATA).read_text(encoding="utf-8", errors="replace").splitlines()
-    cells = lines[1].split(",") if len(lines) > 1 else []
-    if len(cells) != len(header):
-        return False
-    columns = dict(zip(header, cells, strict=True))
-    return columns["platform"].lower() == "ios" and columns["standardisation"].lower() != "true"
+    row = next(csv.DictReader(lines, restval=""), {"platform": ""})
+    return row["platform"].lower() == "ios" and row["standardisation"].lower() != "true"
 
 
 def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) -> Sensors:

@@ -26,7 +26,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileError, printable
+from magcal_ros.files.disk import FileError
 from magcal_ros.files.recording import Recording
 from magcal_ros.files.wire import RECEIVER_SPEED_SIGMA
 
@@ -73,9 +73,7 @@ def read_px4(
 ) -> Recording:
     """Read a ULog; arguments and errors are those of `open_recording`."""
     if logs.first_bytes(path, len(MAGIC)) != MAGIC:
-        raise FileError(
-            f"{printable(str(path))} is not a ULog: its first bytes are not those of one"
-        )
+        raise FileError.of(path, "is not a ULog: its first bytes are not those of one")
     ulog = logs.library(path, "pyulog", "px4").ULog
     with logs.limited(path, progress) as deadline, _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
@@ -162,14 +160,11 @@ def _tables(log: Any) -> logs.LogTables:
             tables.yaw = np.column_stack([stamps, 0.5 * math.pi - yaw])
         elif name == "vehicle_gps_position" and number == 0:
             _take_fixes(tables, topic, stamps)
-    refused = [
-        words
-        for number in range(MOST_SENSORS)
-        if (words := _take_field(tables, data, number, parameters, shift, is_settled))
-    ]
-    if refused and not tables.fields.rows:
-        raise FileError(refused[0])
-    tables.notes += [f"left out: {words}" for words in refused]
+    for number in range(MOST_SENSORS):
+        _take_field(tables, data, number, parameters, shift, is_settled)
+    if tables.notes and not tables.fields.rows:
+        raise FileError(tables.notes[0])
+    tables.notes = [f"left out: {words}" for words in tables.notes]
     _sort(tables.fields, data, parameters)
     return tables
 
@@ -181,27 +176,26 @@ def _take_field(
     parameters: Mapping[str, float],
     shift: float,
     is_settled: bool,
-) -> str:
-    """Add a raw field in the body's forward-left-up axes, or return why it is left out."""
-    raw = _of_one(data.get(("sensor_mag", number)))
-    device = _device(raw) if raw is not None else 0
-    corrected = _corrected(data, number, device)
-    topic = raw if raw is not None else corrected
-    if topic is None:
-        return ""
-    device = device or _device(topic)
-    slot = _slot(device, parameters)
+) -> None:
+    """Add a raw field in the body's forward-left-up axes, or note why it is left out."""
+    raw = _of_one(data.get(("sensor_mag", number), {}))
+    corrected = _corrected(data, number, _device(raw))
+    topic = raw or corrected
+    if not topic:
+        return
+    slot = _slot(_device(topic), parameters)
     has_power = bool(parameters.get("CAL_MAG_COMP_TYP", 0)) and any(
         parameters.get(f"CAL_MAG{slot}_{axis}COMP", 0.0) for axis in "XYZ"
     )
     # The calibration can be removed only if its parameters stayed the same.
-    if raw is not None and corrected is not None and is_settled:
+    if raw and corrected and is_settled:
         more = len(corrected["timestamp"]) > len(raw["timestamp"])
         topic = corrected if more or has_power else raw
     try:
         pose, name = _pose(slot, parameters)
     except FileError as problem:
-        return f"{tables.fields.called(number)}: {problem}"
+        tables.notes.append(f"{tables.fields.called(number)}: {problem}")
+        return
     if topic is raw:
         field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:
@@ -222,14 +216,12 @@ def _take_field(
                 "change it, the result depends on it"
             )
         ]
-    return ""
 
 
 def _sort(fields: logs.Sensors, data: Topics, parameters: Mapping[str, float]) -> None:
     """Put the magnetometers in order: the one PX4 selected, then by CAL_MAGn_PRIO."""
-    choices = [data[name, 0] for name in SELECTIONS if (name, 0) in data]
-    named = [logs.most_common(each.get("mag_device_id", np.zeros(1))) for each in choices]
-    selected = next((device for device in named if device), 0)
+    choices = (data.get((name, 0), {}).get("mag_device_id", np.empty(0)) for name in SELECTIONS)
+    selected = next(filter(None, map(logs.most_common, choices)), 0)
     devices = {
         k: _device(data[name, k])
         for name in ("vehicle_magnetometer", "sensor_mag")
@@ -259,17 +251,15 @@ def _device(topic: Topic) -> int:
     return int(topic["device_id"][-1]) if "device_id" in topic else 0
 
 
-def _corrected(data: Topics, number: int, device: int) -> Topic | None:
+def _corrected(data: Topics, number: int, device: int) -> Topic:
     """Return the corrected field of a device; for an unknown device, 0, that of this number."""
-    topics = [_of_one(data.get(("vehicle_magnetometer", k))) for k in range(MOST_SENSORS)]
-    same = [each for each in topics if each is not None and _device(each) == device]
-    return same[0] if same else topics[number] if not device else None
+    topics = [_of_one(data.get(("vehicle_magnetometer", k), {})) for k in range(MOST_SENSORS)]
+    same = [each for each in topics if each and _device(each) == device]
+    return same[0] if same else topics[number] if not device else {}
 
 
-def _of_one(topic: Topic | None) -> Topic | None:
+def _of_one(topic: Topic) -> Topic:
     """Return the samples of the last device with its last calibration."""
-    if topic is None:
-        return None
     # With SENS_MAG_MODE at 1, the first topic changes to the device that is selected.
     marks = [topic[name] for name in ("device_id", "calibration_count") if name in topic]
     same = np.all([mark == mark[-1] for mark in marks], axis=0) if marks else ...

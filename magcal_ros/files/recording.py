@@ -214,10 +214,8 @@ def read_numbers(
     table[:, 0] /= second
     stamps = table[:, 0]
     if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
-        raise FileError(
-            f"{printable(str(path))} is damaged: its stamps must be seconds, and reach "
-            f"{np.nanmax(np.abs(stamps)):.3g}"
-        )
+        latest = f"{np.nanmax(np.abs(stamps)):.3g}"
+        raise FileError.of(path, f"is damaged: its stamps must be seconds, and reach {latest}")
     return np.asarray(table, dtype=np.float64)
 
 
@@ -230,9 +228,9 @@ def _opened(path: Path) -> Iterator[TextIO]:
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise FileError(f"{printable(str(path))} is damaged: {error}") from error
+        raise FileError.of(path, f"is damaged: {error}") from error
     except IndexError as error:  # numpy before 1.23
-        raise FileError(f"{printable(str(path))} is damaged: a line has too few columns") from error
+        raise FileError.of(path, "is damaged: a line has too few columns") from error
 
 
 def _separator(header: str) -> str:
@@ -322,4 +320,4 @@ def read_samples(path: Path) -> Window:
     try:
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
     except ValueError as error:
-        raise FileError(f"{printable(str(path))} is damaged: {error}") from error
+        raise FileError.of(path, f"is damaged: {error}") from error

@@ -26,7 +26,7 @@ from magcal_ros.core.samples.units import slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
-from magcal_ros.files.disk import FileError, printable
+from magcal_ros.files.disk import FileError
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -76,9 +76,9 @@ def _read_whole(path: Path, imu: str, field: str, progress: Progress | None) -> 
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
     if path.is_file() and kind in PACKED:
-        raise FileError(f"{printable(str(path))} is packed: unpack it, and name the result")
+        raise FileError.of(path, "is packed: unpack it, and name the result")
     if path.is_file() and kind == ".csv":
-        raise FileError(f"{printable(str(path))} is one table of a recording: name its folder")
+        raise FileError.of(path, "is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
     if not is_csv and not phone.is_phone_folder(path):
         return None
@@ -143,14 +143,10 @@ class RepairedReadings:
         even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)
         pairs = zip(stamps, even, strict=True)
-        imu, field = (iter((old if new is None else new).tolist()) for old, new in pairs)
+        repaired = [iter((old if new is None else new).tolist()) for old, new in pairs]
         for reading in self._counted(self._source.readings()):
-            if reading is None:
-                yield None
-            elif isinstance(reading, ImuSample):
-                yield reading._replace(stamp=next(imu))
-            else:
-                yield reading._replace(stamp=next(field))
+            stamp = repaired[isinstance(reading, FieldSample)]
+            yield reading and reading._replace(stamp=next(stamp))
 
     def _counted(self, readings: Iterable[Reading]) -> Iterator[Reading]:
         for reading in readings:
