@@ -65,15 +65,12 @@ SMALLEST_SCALE, LARGEST_SCALE = 1.0 / 1.5, 1.5
 BACKWARDS, LATE = 1.0, 10.0
 """Seconds by which the clock goes back, or a message is late, if the autopilot was restarted."""
 
-SENSORS = 3
 Parameters = dict[str, float]
 History = list[tuple[float, Parameters]]
 """All parameters, with the time from which they are valid: the autopilot may change them."""
 
 
-def read_ardupilot(
-    path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
-) -> Recording:
+def read_ardupilot(path: Path, imu: str, mag: str, progress: logs.Progress | None) -> Recording:
     """Read a DataFlash or telemetry log; arguments and errors are those of `open_recording`."""
     head = logs.first_bytes(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
@@ -95,15 +92,11 @@ def _tables(found: DataFlash, names: tuple[tuple[str, ...], ...]) -> logs.LogTab
     tables, parameters = logs.LogTables(imus, fields), _history(found)
     for number, part in _instances(found, "IMU"):
         healthy = part[(part[:, 8] != 0.0) & (part[:, 9] != 0.0)]
-        imus.unhealthy[number] = len(part) - len(healthy)
-        if len(healthy):
-            turned = healthy[:, 2:8] * np.tile(logs.FLU_FROM_FRD, 2)
-            imus.rows[number] = np.column_stack([healthy[:, 0], turned])
+        turned = healthy[:, 2:8] * np.tile(logs.FLU_FROM_FRD, 2)
+        rows = np.column_stack([healthy[:, 0], turned])
+        imus.found[number] = logs.Sensor(rows, len(part) - len(healthy))
     for number, part in _instances(found, "MAG"):
-        healthy = part[part[:, 11] != 0.0]
-        fields.unhealthy[number] = len(part) - len(healthy)
-        if len(healthy):
-            _take_field(fields, number, healthy[:, [0, *range(2, 11)]], parameters)
+        fields.found[number] = _compass(number, part, parameters)
     if "ATT" in found.tables:
         stamps, bearing = found.tables["ATT"].T
         tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
@@ -240,15 +233,19 @@ def _sort_sensors(
     primary = parameters.get("EK3_PRIMARY"), parameters.get("COMPASS_PRIMARY")
     lane, compass = chosen or (None if each is None else int(each) for each in primary)
     # Lanes of the EKF are numbered over the IMUs in EK3_IMU_MASK.
-    of_lanes = [k for k in range(SENSORS) if int(parameters.get("EK3_IMU_MASK", 3.0)) >> k & 1]
+    of_lanes = [k for k in range(len(SLOTS)) if int(parameters.get("EK3_IMU_MASK", 3.0)) >> k & 1]
     used = of_lanes[lane] if lane is not None and 0 <= lane < len(of_lanes) else None
     _sort(tables.imus, parameters, "INS_USE", used)
     _sort(tables.fields, parameters, "COMPASS_USE", compass)
 
 
-def _take_field(fields: logs.Sensors, number: int, table: FloatArray, parameters: History) -> None:
-    """Add the raw field of a compass; samples with an earlier orientation are left out."""
-    newest = parameters[-1][1]
+def _compass(number: int, logged: FloatArray, parameters: History) -> logs.Sensor:
+    """Return a compass with its raw field; samples with an earlier orientation are left out."""
+    table = logged[logged[:, 11] != 0.0][:, [0, *range(2, 11)]]
+    unhealthy = len(logged) - len(table)
+    if not len(table):
+        return logs.Sensor(table, unhealthy)
+    newest, notes = parameters[-1][1], list[str]()
     slot = _slot(number, table[-1, 4:7], newest)
     orientation = f"COMPASS_ORIENT{SLOTS[slot]}"
     parts = np.searchsorted([since for since, _ in parameters], table[:, 0], "right")
@@ -258,9 +255,6 @@ def _take_field(fields: logs.Sensors, number: int, table: FloatArray, parameters
         raw[rows] = _without_calibration(table[rows], slot, held)
         is_turned[rows] = held.get(orientation) != newest.get(orientation)
     raw *= logs.FLU_FROM_FRD * TESLA
-    fields.rows[number] = np.column_stack([table[:, 0], raw])[~is_turned]
-    fields.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
-    notes = fields.notes.setdefault(number, [])
     if is_turned.any():
         notes.append(
             f"{orientation} was changed during the log: the field is used only from then on"
@@ -271,17 +265,20 @@ def _take_field(fields: logs.Sensors, number: int, table: FloatArray, parameters
             "the field includes the compensation of the motors (COMPASS_MOT, up to "
             f"{1e6 * TESLA * motors:.1f} µT): do not change it, the result depends on it"
         )
+    rows = np.column_stack([table[:, 0], raw])[~is_turned]
+    return logs.Sensor(rows, unhealthy, f"ardupilot_compass{SLOTS[slot]}", notes)
 
 
 def _sort(sensors: logs.Sensors, parameters: Parameters, switch: str, used: int | None) -> None:
     """Put sensors in order: enabled ones first, the used one first of them, then by health."""
-    longest = max((len(each) for each in sensors.rows.values()), default=0)
+    lengths = {number: len(each.rows) for number, each in sensors.found.items() if len(each.rows)}
+    longest = max(lengths.values(), default=0)
 
     def rank(number: int) -> tuple[bool, bool, bool, int]:
-        is_off = parameters.get(f"{switch}{SLOTS[min(number, SENSORS - 1)]}") == 0.0
-        return is_off, number != used, len(sensors.rows[number]) < 0.5 * longest, number
+        is_off = parameters.get(f"{switch}{SLOTS[min(number, len(SLOTS) - 1)]}") == 0.0
+        return is_off, number != used, lengths[number] < 0.5 * longest, number
 
-    sensors.order = sorted(sensors.rows, key=rank)
+    sensors.order = sorted(lengths, key=rank)
     if sensors.order and sensors.order[0] == used:
         sensors.reason = "which the autopilot used"
     elif any(name.startswith(switch) for name in parameters):

@@ -71,6 +71,17 @@ class Deadline(io.TextIOBase):
 
 
 @dataclass
+class Sensor:
+    """An accelerometer or a magnetometer of a log."""
+
+    rows: FloatArray  # as in `Recording`: SI units, forward-left-up axes
+    unhealthy: int = 0
+    """Number of samples left out because the autopilot calls the sensor unhealthy in them."""
+    frame: str = ""  # the name that is stored in a calibration, for `export`
+    notes: list[str] = field(default_factory=list)  # for the user if the sensor is chosen
+
+
+@dataclass
 class Sensors:
     """All accelerometers or all magnetometers of a log, by number."""
 
@@ -78,17 +89,10 @@ class Sensors:
     remedy: str  # what to do if the log has no such sensor
     health: str = ""  # how the log marks samples of an unhealthy sensor
     _: KW_ONLY
-    rows: dict[int, FloatArray] = field(default_factory=dict)
-    """As in `Recording`: SI units, forward-left-up axes."""
-    unhealthy: dict[int, int] = field(default_factory=dict)
-    """Numbers of samples left out because the autopilot calls the sensor unhealthy in them."""
+    found: dict[int, Sensor] = field(default_factory=dict)
     order: Sequence[int] = ()
     """The order of preference; sensors that are not in it follow by number."""
     reason: str = ""  # why the first sensor in `order` is preferred
-    frames: dict[int, str] = field(default_factory=dict)
-    """The name of each magnetometer that is stored in a calibration, for `export`."""
-    notes: dict[int, list[str]] = field(default_factory=dict)
-    """Notes for the user if a sensor is chosen."""
 
     def called(self, number: int) -> str:
         """Return the name of a sensor."""
@@ -97,10 +101,7 @@ class Sensors:
     def choose(self, path: Path, kind: str, option: str, wanted: str, notes: list[str]) -> int:
         """Return the number of the sensor to use, and add what the user should know to `notes`."""
         rank = {number: place for place, number in enumerate(self.order)}
-        numbers = sorted(
-            {*self.rows, *self.unhealthy},
-            key=lambda number: (rank.get(number, len(rank)), number),
-        )
+        numbers = sorted(self.found, key=lambda number: (rank.get(number, len(rank)), number))
         every = ", ".join(map(self.called, sorted(numbers)))
         if wanted:
             found = [k for k in numbers if wanted in (self.called(k), str(k))]
@@ -123,24 +124,25 @@ class Sensors:
                 f"the log has {every}{why}: {self.called(chosen)} is used{reason}; choose another "
                 f"with {option}"
             )
-        if left_out := self.unhealthy.get(chosen, 0):
+        sensor = self.found[chosen]
+        if sensor.unhealthy:
             notes.append(
-                f"{left_out} of {left_out + len(self.rows[chosen])} samples of "
+                f"{sensor.unhealthy} of {sensor.unhealthy + len(sensor.rows)} samples of "
                 f"{self.called(chosen)} are left out: the autopilot calls it unhealthy in them "
                 f"({self.health})"
             )
-        notes += self.notes.get(chosen, ())
+        notes += sensor.notes
         return chosen
 
     def _fault(self, number: int) -> str:
         """Return why a sensor does not work; empty if it does."""
-        rows, left_out = self.rows.get(number, np.empty((0, 4))), self.unhealthy.get(number, 0)
+        rows, unhealthy = self.found[number].rows, self.found[number].unhealthy
         if varies(rows[:, 1:4]):
             return ""
-        if left_out and not len(rows):
+        if unhealthy and not len(rows):
             return (
-                f"the autopilot calls {self.called(number)} unhealthy in all its {left_out} samples"
-                f" ({self.health}): the sensor sends no readings"
+                f"the autopilot calls {self.called(number)} unhealthy in all its {unhealthy} "
+                f"samples ({self.health}): the sensor sends no readings"
             )
         return f"{self.called(number)} holds one value, or none, in all its {len(rows)} samples"
 
@@ -172,13 +174,13 @@ class LogTables:
         other = self.fields.choose(path, "magnetometer", "--mag", mag, notes)
         travel, place = travel_of([*self.velocities, *self.fixes])
         return Recording(
-            _in_order(self.imus.rows[one]),
-            _in_order(self.fields.rows[other]),
+            _in_order(self.imus.found[one].rows),
+            _in_order(self.fields.found[other].rows),
             travel=travel,
             place=place,
             imu_topic=self.imus.called(one),
             field_topic=self.fields.called(other),
-            field_frame=self.fields.frames.get(other, ""),
+            field_frame=self.fields.found[other].frame,
             yaw=_in_order(self.yaw[np.isfinite(self.yaw).all(axis=1)]),
             notes=tuple(notes),
         )
@@ -224,9 +226,7 @@ def first_bytes(path: Path, count: int) -> bytes:
     """Return the first bytes of a log; a FileError if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
-            size = handle.seek(0, io.SEEK_END)
-            handle.seek(0)
-            head = handle.read(count)
+            size, head = os.fstat(handle.fileno()).st_size, handle.read(count)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"cannot read {printable(str(path))}: {reason}") from error

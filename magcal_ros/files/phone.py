@@ -41,6 +41,8 @@ NO_GYRO = (
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
+SPEED_AND_COURSE = ("speed", "bearing"), ("velocity", "direction")
+"""Columns of the velocity over ground by Sensor Logger and by phyphox."""
 LEAST_GRAVITY = 0.5 * STANDARD_GRAVITY
 """m/s². If the usual reading of an accelerometer is less, gravity was subtracted."""
 
@@ -87,8 +89,9 @@ def read_phone(path: Path) -> Recording:
         turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
     tables = logs.LogTables(logs.Sensors(*IMU), logs.Sensors(*MAGNETOMETER), notes=notes)
     imu = [force[:, 0], force[:, 1:] @ FLU_FROM_PHONE.T, turns @ FLU_FROM_PHONE.T]
-    tables.imus.rows[0] = np.column_stack(imu)
-    tables.fields.rows[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
+    mag = [field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T]
+    tables.imus.found[0] = logs.Sensor(np.column_stack(imu))
+    tables.fields.found[0] = logs.Sensor(np.column_stack(mag))
     _add_fixes(path, headers, tables)
     return replace(tables.recording(path), imu_topic=IMU[0], field_topic=MAGNETOMETER[0])
 
@@ -174,17 +177,14 @@ def _add_fixes(path: Path, headers: dict[str, list[str]], tables: logs.LogTables
         if not {"time", "latitude", "longitude"} <= set(plain_names) or name.startswith("Watch"):
             continue
         second = NANOSECOND if "seconds_elapsed" in plain_names else 1.0
-        speed = "speed" if "speed" in plain_names else "velocity"
-        course = "bearing" if "bearing" in plain_names else "direction"
-        wanted = ["time", "latitude", "longitude"]
-        moving = {speed, course} <= set(plain_names)
-        wanted += [speed, course] if moving else []
+        moving = next((each for each in SPEED_AND_COURSE if set(each) <= set(plain_names)), ())
+        wanted = ("time", "latitude", "longitude", *moving)
         columns = [plain_names.index(each) for each in wanted]
         for stamp, latitude, longitude, *motion in read_numbers(
             path / name, columns, second
         ).tolist():
             # A negative speed or course is unknown.
-            is_known = moving and min(motion) >= 0.0
+            is_known = motion and min(motion) >= 0.0
             over_ground, bearing = motion if is_known else (math.nan, math.nan)
             fix = Fix(True, latitude, longitude, math.nan, stamp)
             tables.take_fix(fix, over_ground, math.radians(bearing))

@@ -68,9 +68,7 @@ CUSTOM = 100  # the number of the rotation whose angles are the parameters CAL_M
 DEFAULT_PRIORITY = 50.0
 
 
-def read_px4(
-    path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
-) -> Recording:
+def read_px4(path: Path, imu: str, mag: str, progress: logs.Progress | None) -> Recording:
     """Read a ULog; arguments and errors are those of `open_recording`."""
     if logs.first_bytes(path, len(MAGIC)) != MAGIC:
         raise FileError.of(path, "is not a ULog: its first bytes are not those of one")
@@ -97,6 +95,15 @@ class _LimitedFile(io.BufferedReader):
 UNKNOWN_ROTATION = (
     "the rotation {} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not known here: choose "
     "another magnetometer with --mag"
+)
+
+NOT_COMPENSATED = (
+    "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field only: set it "
+    "to 0 together with the exported numbers, or log vehicle_magnetometer"
+)
+COMPENSATED = (
+    "the field includes the compensation for the power (CAL_MAG_COMP_TYP): do not change it, the "
+    "result depends on it"
 )
 
 
@@ -150,10 +157,11 @@ def _tables(log: Any) -> logs.LogTables:
         if name == "sensor_combined":
             force = _vectors(topic, "accelerometer_m_s2") * logs.FLU_FROM_FRD
             rate = _vectors(topic, "gyro_rad") * logs.FLU_FROM_FRD
-            tables.imus.rows[number] = np.column_stack([stamps, force, rate])
+            tables.imus.found[number] = logs.Sensor(np.column_stack([stamps, force, rate]))
             if "magnetometer_ga[0]" in topic:  # releases before 1.9
                 field = _vectors(topic, "magnetometer_ga") * logs.FLU_FROM_FRD * TESLA
-                tables.fields.rows.setdefault(0, np.column_stack([stamps, field]))
+                first = logs.Sensor(np.column_stack([stamps, field]))
+                tables.fields.found.setdefault(0, first)
         elif name == "vehicle_attitude":
             w, x, y, z = (topic[f"q[{k}]"] for k in range(4))
             yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -162,7 +170,7 @@ def _tables(log: Any) -> logs.LogTables:
             _take_fixes(tables, topic, stamps)
     for number in range(MOST_SENSORS):
         _take_field(tables, data, number, parameters, shift, is_settled)
-    if tables.notes and not tables.fields.rows:
+    if tables.notes and not tables.fields.found:
         raise FileError(tables.notes[0])
     tables.notes = [f"left out: {words}" for words in tables.notes]
     _sort(tables.fields, data, parameters)
@@ -184,9 +192,8 @@ def _take_field(
     if not topic:
         return
     slot = _slot(_device(topic), parameters)
-    has_power = bool(parameters.get("CAL_MAG_COMP_TYP", 0)) and any(
-        parameters.get(f"CAL_MAG{slot}_{axis}COMP", 0.0) for axis in "XYZ"
-    )
+    compensates = bool(parameters.get("CAL_MAG_COMP_TYP", 0))
+    has_power = compensates and any(_of_axes(slot, "COMP", parameters))
     # The calibration can be removed only if its parameters stayed the same.
     if raw and corrected and is_settled:
         more = len(corrected["timestamp"]) > len(raw["timestamp"])
@@ -199,23 +206,16 @@ def _take_field(
     if topic is raw:
         field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:
-        offset, matrix = _calibration(slot, parameters)
+        offset, scale = _of_axes(slot, "OFF", parameters), _of_axes(slot, "SCALE", parameters, 1.0)
+        matrix = logs.symmetric(scale, _of_axes(slot, "ODIAG", parameters))
         bias = _bias(data, number, topic["timestamp"])
         inner = (_vectors(topic, "magnetometer_ga") + bias) @ pose
         field = (np.linalg.solve(matrix, inner.T).T + offset) @ pose.T
     stamps = 1e-6 * topic["timestamp"] + shift
-    tables.fields.rows[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
-    tables.fields.frames[number] = f"px4_mag{0 if slot is None else slot}_{name}"
-    if has_power:
-        tables.fields.notes[number] = [
-            "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field "
-            "only: set it to 0 together with the exported numbers, or log vehicle_magnetometer"
-            if topic is raw
-            else (
-                "the field includes the compensation for the power (CAL_MAG_COMP_TYP): do not "
-                "change it, the result depends on it"
-            )
-        ]
+    rows = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
+    frame = f"px4_mag{0 if slot is None else slot}_{name}"
+    notes = [NOT_COMPENSATED if topic is raw else COMPENSATED] if has_power else []
+    tables.fields.found[number] = logs.Sensor(rows, frame=frame, notes=notes)
 
 
 def _sort(fields: logs.Sensors, data: Topics, parameters: Mapping[str, float]) -> None:
@@ -277,15 +277,11 @@ def _bias(data: Topics, number: int, stamps: FloatArray) -> FloatArray:
     return np.vstack([np.zeros(3), known])[held]
 
 
-def _calibration(
-    slot: int | None, parameters: Mapping[str, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Return offset and matrix of a slot; zero and identity without a slot."""
-
-    def of(name: str, default: float) -> list[float]:
-        return [parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"]
-
-    return np.array(of("OFF", 0.0)), logs.symmetric(of("SCALE", 1.0), of("ODIAG", 0.0))
+def _of_axes(
+    slot: int | None, name: str, parameters: Mapping[str, float], default: float = 0.0
+) -> FloatArray:
+    """Return three parameters of a slot; their defaults without a slot."""
+    return np.array([parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"])
 
 
 def _take_fixes(tables: logs.LogTables, topic: Topic, stamps: FloatArray) -> None:
