@@ -92,10 +92,10 @@ class Bag:
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both topics in the order in which they were recorded."""
         of_imu, of_field = self._format.imu, self._format.field
-        fields = {connection.id for connection in self._field}
+        field_topic = self._field[0].topic
 
         def take(connection: Connection, _at: int, data: bytes) -> Reading:
-            if connection.id in fields:
+            if connection.topic == field_topic:
                 self.field_frame, sample, *_ = of_field(data)
                 return sample
             self.imu_frame, reading, _ = of_imu(data)
@@ -259,7 +259,6 @@ def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Ite
 class Channel(NamedTuple):
     """A topic of the bag."""
 
-    id: str
     topic: str
     msgtype: str
     msgcount: int
@@ -281,7 +280,7 @@ class RosReader:
         self._metadata = library.Info().read_metadata(str(path), _storage_of(path))
         self.message_count = int(self._metadata.message_count)
         self.connections = [
-            Channel(about.name, about.name, about.type, int(topic.message_count))
+            Channel(about.name, about.type, int(topic.message_count))
             for topic in self._metadata.topics_with_message_count
             for about in (topic.topic_metadata,)
         ]

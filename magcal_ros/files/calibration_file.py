@@ -308,16 +308,11 @@ def _motors(document: Mapping[str, Any]) -> MotorField | None:
 
 def _evidence(document: Mapping[str, Any]) -> Evidence:
     stored = document["evidence"]
-    return Evidence(
-        str(document["method"]),
-        str(stored["quality"]),
-        str(stored["confidence"]),
-        str(stored["summary"]),
-        tuple(str(reason) for reason in stored["reasons"]),
-        tuple(str(item) for item in stored["not_shown"]),
-        bool(stored["accepted_by_user"]),
-        {str(name): _number(value) for name, value in stored["figures"].items()},
-    )
+    quality, confidence, summary = (str(stored[k]) for k in ("quality", "confidence", "summary"))
+    reasons, not_shown = (tuple(map(str, stored[k])) for k in ("reasons", "not_shown"))
+    figures = {str(name): _number(value) for name, value in stored["figures"].items()}
+    accepted, method = bool(stored["accepted_by_user"]), str(document["method"])
+    return Evidence(method, quality, confidence, summary, reasons, not_shown, accepted, figures)
 
 
 def _origin(document: Mapping[str, Any]) -> Origin:
