@@ -19,6 +19,7 @@ from magcal_ros.core.self_calibration.jobs import DecisionKind, difference
 from magcal_ros.core.up.filter import FILTER
 from magcal_ros.files.disk import FileError, write_atomically
 from magcal_ros.files.recording import REMEDY
+from magcal_ros.report.gallery import missing
 from magcal_ros.report.page import page_head, table
 from magcal_ros.report.write import PAGE
 
@@ -140,15 +141,13 @@ def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
-    cells = (
-        "driving" if evidence.method == "smoother" else evidence.method,
+    return (
+        "driving" if evidence.method == "smoother" else escape(evidence.method),
         f"±{math.degrees(known_sigma(calibration)):.1f}°",
         f"±{math.degrees(predicted_heading_sigma(calibration)):.1f}°",
-        f"{x:.1f}, {y:.1f}, {z:.1f}",
-        why or evidence.summary,
+        f'<span class="whole">{x:.1f}, {y:.1f}, {z:.1f}</span>',
+        escape(why or evidence.summary),
     )
-    made, heading, along, iron, reason = map(escape, cells)
-    return made, heading, along, f'<span class="whole">{iron}</span>', reason
 
 
 def _decisions(replay: DriveReplay) -> str:
@@ -163,11 +162,9 @@ def _decisions(replay: DriveReplay) -> str:
 
 
 def _map(path: DrivePath | None) -> str:
+    title = "<h2>Where the compass can be trusted</h2>"
     if path is None:
-        return (
-            "<h2>Where the compass can be trusted</h2>"
-            '<p class="missing">No map: there was no calibration on this drive.</p>'
-        )
+        return title + missing("No map: there was no calibration on this drive.")
     low, high = path.place.min(axis=0), path.place.max(axis=0)
     span = float(max(np.max(high - low), 1.0))
     scale = (WIDTH - 2.0 * MARGIN) / span
@@ -190,10 +187,9 @@ def _map(path: DrivePath | None) -> str:
     )
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
-        "<h2>Where the compass can be trusted</h2>"
-        f"<p>{_how(path)} The colour is the possible heading error by streets, cars and steel "
-        "nearby. It is computed from the difference between the field and the calibrated field. "
-        f"At {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
+        f"{title}<p>{_how(path)} The colour is the possible heading error by streets, cars and "
+        "steel nearby. It is computed from the difference between the field and the calibrated "
+        f"field. At {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
         f"<p>{legend}</p>"
         f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -159,13 +160,17 @@ NO_MATPLOTLIB = (
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the page; `missing` is the reason if there is no SVG."""
+    """A figure of the page."""
 
     name: str
     title: str
     caption: str
-    svg: str = ""
-    missing: str = ""
+    drawing: str  # an SVG, or a paragraph with the reason why there is none
+
+
+def missing(why: str) -> str:
+    """Return a paragraph in place of a drawing."""
+    return f'<p class="missing">{escape(why)}</p>'
 
 
 NO_GYRO = Picture(
@@ -173,7 +178,7 @@ NO_GYRO = Picture(
     "Gyro against compass",
     "Only a gyro reveals whether steel nearby distorts the field: the compass error then "
     "oscillates over the turn, although the circle looks right.",
-    missing="Not checked: there was no gyro in these samples.",
+    missing("Not checked: there was no gyro in these samples."),
 )
 
 
@@ -198,13 +203,12 @@ def pictures(turn: Turn) -> list[Picture]:
 
 
 def _picture(turn: Turn, name: str, title: str, draw: turn_views.Draw, words: str) -> Picture:
-    svg = missing = ""
     try:
-        svg = turn_views.draw_svg(draw, turn, name, title)
+        drawing = turn_views.draw_svg(draw, turn, name, title)
     except ImportError:
-        missing = NO_MATPLOTLIB
+        drawing = missing(NO_MATPLOTLIB)
     except Exception as error:
         # Unusual samples may cause errors in matplotlib; the report is then written without this
         # picture.
-        missing = f"No picture: drawing has failed ({type(error).__name__}: {error})."
-    return Picture(name, title, words, svg, missing)
+        drawing = missing(f"No picture: drawing has failed ({type(error).__name__}: {error}).")
+    return Picture(name, title, words, drawing)

@@ -28,7 +28,7 @@ from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.sensor_report import SensorReport
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import MultiTurnReport
-from magcal_ros.report.gallery import Picture
+from magcal_ros.report.gallery import Picture, missing
 from magcal_ros.report.turn import MICRO, Subject, Turn
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
@@ -129,16 +129,11 @@ def _multi_turn(multi_turn: MultiTurnReport) -> str:
 def _pictures(pictures: Sequence[Picture]) -> str:
     figures = [
         f'<figure id="{picture.name}"><h3>{escape(picture.title)}</h3>'
-        f"{picture.svg or _missing(picture.missing)}"
-        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+        f"{picture.drawing}<figcaption>{escape(picture.caption)}</figcaption></figure>"
         for picture in pictures
     ]
-    drawn = "\n".join(figures) or _missing("No picture: there are no samples.")
+    drawn = "\n".join(figures) or missing("No picture: there are no samples.")
     return f'<section class="pictures">{drawn}</section>'
-
-
-def _missing(why: str) -> str:
-    return f'<p class="missing">{escape(why)}</p>'
 
 
 def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
@@ -321,13 +316,13 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         Row(f"hard iron {name} (±1σ)", f"{value:.2f} ± {spread:.2f} µT")
         for name, value, spread in zip("xyz", iron, sigma, strict=True)
     ]
-    if estimate.installation is not None:
-        rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
-        rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
-    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
-        yaw, off = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
-        words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
-        rows.append(Row("installation yaw (±1σ)", words))
+    found = estimate.installation
+    if found is not None:
+        rows.append(Row("installation roll", f"{found.roll * DEGREES:.2f}°"))
+        rows.append(Row("installation pitch", f"{found.pitch * DEGREES:.2f}°"))
+        if (off := figures.get(Figure.INSTALLATION_YAW_SIGMA)) is not None:
+            words = f"{found.yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
+            rows.append(Row("installation yaw (±1σ)", words))
     inliers = int(np.count_nonzero(estimate.inliers))
     driven = figures.get(Figure.HEADINGS_DRIVEN)
     seen = Row("measured arc", f"{estimate.arc * DEGREES:.0f}°")

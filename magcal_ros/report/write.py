@@ -6,7 +6,7 @@ import contextlib
 import re
 import signal
 from datetime import datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 from magcal_ros.files.disk import UNFINISHED, FileError, write_atomically
@@ -57,8 +57,9 @@ def new_folder(parent: Path, created: datetime) -> Path:
     name = created.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        for number in count(1):
-            folder = parent / (name if number == 1 else f"{name}-{number}")
+        names = chain([name], (f"{name}-{number}" for number in count(2)))
+        while True:
+            folder = parent / next(names)
             try:
                 # Creating the folder is an atomic test of whether the name is free.
                 folder.mkdir()
@@ -71,7 +72,6 @@ def new_folder(parent: Path, created: datetime) -> Path:
             f"cannot make a folder for the report in {parent}: {error.strerror or error}. "
             "Choose a writable folder, or correct its permissions."
         ) from error
-    raise AssertionError("counting does not end")
 
 
 def mark_in_force(folder: Path) -> None:
