@@ -130,7 +130,6 @@ class _Turn:
 
         self._calibrator = calibrator
         self._status: dict[str, Any] = {}
-        self._progress: dict[str, Any] | None = None
         self._received_at: float | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(node)
@@ -154,8 +153,8 @@ class _Turn:
             with view:
                 while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
-                    if self._progress is not None:
-                        view.show(self._progress)
+                    if (progress := live_view.progress_of(self._status)) is not None:
+                        view.show(progress)
                     self._require_life()
             if future.done():
                 return future.result()
@@ -196,7 +195,6 @@ class _Turn:
     def _on_status(self, message: Any) -> None:
         self._received_at = time.monotonic()
         self._status = live_view.status_of(message.data)
-        self._progress = live_view.progress_of(self._status)
 
     def _on_diagnostics(self, message: Any) -> None:
         begin = f"{self._calibrator.lstrip('/')}: "

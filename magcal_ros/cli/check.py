@@ -214,7 +214,6 @@ def run_drive(options: argparse.Namespace) -> int:
         if not replay.seconds > 0.0:
             no_gyro = math.isnan(replay.seconds) and all(repaired.read)
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO if no_gyro else TOO_SHORT)
-        frames = source.field_frame, source.imu_frame
         if replay.last_calibration is not None and travel:
             north = reference.field.declination
             course = recorded_course(replay.last_calibration, repaired, travel, north)
@@ -223,9 +222,9 @@ def run_drive(options: argparse.Namespace) -> int:
     files = [page]
     if replay.last_calibration is not None and replay.last_calibration is not initial:
         files.append(folder / common.CALIBRATION)
-        origin = Origin.now(*frames)
+        origin = Origin.now(source.field_frame, source.imu_frame)
         write_calibration(files[-1], replay.last_calibration, origin, remedy=common.REMEDY)
-    notes = [*_of_another_sensor(made, frames[0]), *source.notes, *repaired.notes]
+    notes = [*_of_another_sensor(made, source.field_frame), *source.notes, *repaired.notes]
     notes = list(dict.fromkeys(notes))
     content = replay, notes, files
     common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)

@@ -86,13 +86,9 @@ def new_or_named(chosen: Path | None, prefix: str) -> Path:
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Return rows as a text table: the first column left-aligned, the others right-aligned."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for first, *others in rows:
-        cells = [first.ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  " + "  ".join(cells).rstrip())
-    return "\n".join(lines)
+    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+    lines = (["", row[0].ljust(first), *map(str.rjust, row[1:], others)] for row in rows)
+    return "\n".join("  ".join(cells).rstrip() for cells in lines)
 
 
 def bullets(title: str, items: Sequence[str]) -> str:

@@ -267,19 +267,18 @@ def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, st
     for axis, value, sigma in zip("xyz", iron, sigmas, strict=True):
         rows.append((f"hard_iron_{axis}_ut", f"hard iron {axis}", f"{value:.2f}", "µT"))
         rows.append((f"hard_iron_{axis}_sigma_ut", "  its error (1σ)", f"{sigma:.2f}", "µT"))
-    if estimate.installation is not None:
-        for axis in ("roll", "pitch"):
-            angle = math.degrees(getattr(estimate.installation, axis))
-            rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
     figures = every_figure(estimate)
     if Figure.HEADINGS_DRIVEN in figures:
         driven = f"{figures[Figure.HEADINGS_DRIVEN]:.0f}"
         rows.insert(0, ("headings_driven", "headings driven", driven, "of 12"))
-    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
-        yaw = math.degrees(estimate.installation.yaw)
-        sigma = math.degrees(figures[Figure.INSTALLATION_YAW_SIGMA])
-        rows.append(("installation_yaw_deg", "installation yaw", f"{yaw:.2f}", "°"))
-        rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", f"{sigma:.2f}", "°"))
+    if estimate.installation is not None:
+        sigma = figures.get(Figure.INSTALLATION_YAW_SIGMA)
+        for axis in ("roll", "pitch") if sigma is None else ("roll", "pitch", "yaw"):
+            angle = math.degrees(getattr(estimate.installation, axis))
+            rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
+        if sigma is not None:
+            off = f"{math.degrees(sigma):.2f}"
+            rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", off, "°"))
     rows += _before_correction(estimate, window)
     rows += [
         ("strength_ut", "strength of the corrected field", f"{estimate.strength * 1e6:.1f}", "µT"),

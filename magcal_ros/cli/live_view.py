@@ -138,10 +138,8 @@ def with_all_reasons(message: str, status: dict[str, Any]) -> str:
 def best_view() -> ProgressLines:
     """Return a panel on a terminal if rich is installed, else plain lines."""
     if sys.stdout.isatty():
-        try:
+        with contextlib.suppress(ImportError):
             return Panel()
-        except ImportError:
-            pass
     return ProgressLines()
 
 
