@@ -60,9 +60,9 @@ def run_check(options: argparse.Namespace) -> int:
     folder = common.new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, recording.reference.field)
     frame = recording.source.field_frame
-    seen = "" if course is None else course.words
+    by_course = "" if course is None else course.words
     notes = [*_of_another_sensor(origin, frame), *recording.complaints()]
-    notes += filter(None, (recording.collector.slow_field, elsewhere, seen, own))
+    notes += filter(None, (recording.collector.slow_field, elsewhere, by_course, own))
     try:
         with recorded.with_progress(lambda: "checking"):
             window = recording.collector.window(recording.reference.field)

@@ -86,8 +86,8 @@ def new_or_named(chosen: Path | None, prefix: str) -> Path:
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Return rows as a text table: the first column left-aligned, the others right-aligned."""
-    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
-    lines = (["", row[0].ljust(first), *map(str.rjust, row[1:], others)] for row in rows)
+    width, *widths = (max(map(len, column)) for column in zip(*rows, strict=True))
+    lines = (["", row[0].ljust(width), *map(str.rjust, row[1:], widths)] for row in rows)
     return "\n".join("  ".join(cells).rstrip() for cells in lines)
 
 
@@ -144,7 +144,7 @@ OPTIONS = {
     "mount_rpy_deg": "--mount-rpy-deg",
     "soft_iron_gains": "--soft-iron-gains",
 }
-"""Option by parameter of the node, without its prefix."""
+"""The option for each parameter of the node, named without its prefix."""
 PARAMETER = re.compile(rf"\b(?:reference\.)?({'|'.join(OPTIONS)})\b")
 SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")
 """Advice for the node's parameter file, to be replaced by the option."""

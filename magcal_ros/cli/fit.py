@@ -277,8 +277,8 @@ def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, st
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
         if sigma is not None:
-            off = f"{math.degrees(sigma):.2f}"
-            rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", off, "°"))
+            error = f"{math.degrees(sigma):.2f}"
+            rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", error, "°"))
     rows += _before_correction(estimate, window)
     rows += [
         ("strength_ut", "strength of the corrected field", f"{estimate.strength * 1e6:.1f}", "µT"),

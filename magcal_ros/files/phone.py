@@ -10,7 +10,6 @@ in the vehicle.
 from __future__ import annotations
 
 import contextlib
-import csv
 import math
 import re
 from dataclasses import replace
@@ -151,11 +150,15 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
 
 def _points_down(path: Path, headers: dict[str, list[str]]) -> bool:
     """Whether the accelerometer has the sign of iOS: -1 g on z if the screen points up."""
-    if not {"platform", "standardisation"} <= set(headers.get(METADATA, [])):
+    header = headers.get(METADATA, [])
+    if not {"platform", "standardisation"} <= set(header):
         return False
     lines = (path / METADATA).read_text(encoding="utf-8", errors="replace").splitlines()
-    row = next(csv.DictReader(lines, restval=""), {"platform": ""})
-    return row["platform"].lower() == "ios" and row["standardisation"].lower() != "true"
+    cells = lines[1].split(",") if len(lines) > 1 else []
+    if len(cells) != len(header):
+        return False
+    columns = dict(zip(header, cells, strict=True))
+    return columns["platform"].lower() == "ios" and columns["standardisation"].lower() != "true"
 
 
 def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) -> Sensors:
