@@ -48,6 +48,8 @@ SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status
 
 Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
+Parameters = Mapping[str, float]
+STAMP = "stamp"  # the stamp of a sample, seconds, which is added to each topic
 IMU = "sensor_combined", "set SDLOG_PROFILE to its default and record again"
 MAGNETOMETER = "sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"
 """Names of the sensors, and what to do if one is missing."""
@@ -118,7 +120,7 @@ def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
     return rotation_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
 
 
-def _pose(slot: int | None, parameters: Mapping[str, float]) -> tuple[FloatArray, str]:
+def _pose(slot: int | None, parameters: Parameters) -> tuple[FloatArray, str]:
     """Return the rotation from a sensor to the body, and its name in the sensor's frame."""
     mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
     number = int(parameters.get("SENS_BOARD_ROT", 0)) if mounted < 0 else mounted
@@ -149,11 +151,12 @@ def _tables(log: Any) -> logs.LogTables:
     changes = {name: v for _, name, v in log.changed_parameters}
     parameters = {**log.initial_parameters, **changes}
     is_settled = not any(name.startswith("CAL_MAG") for name in changes)
-    data = {(each.name, each.multi_id): each.data for each in log.data_list}
-    shift = _epoch(data.get(("vehicle_gps_position", 0), {}))
+    topics = {(each.name, each.multi_id): each.data for each in log.data_list}
+    shift = _epoch(topics.get(("vehicle_gps_position", 0), {}))
+    data = {k: {**each, STAMP: 1e-6 * each["timestamp"] + shift} for k, each in topics.items()}
     tables = logs.LogTables(logs.Sensors(*IMU), logs.Sensors(*MAGNETOMETER))
     for (name, number), topic in data.items():
-        stamps = 1e-6 * topic["timestamp"] + shift
+        stamps = topic[STAMP]
         if name == "sensor_combined":
             force = _vectors(topic, "accelerometer_m_s2") * logs.FLU_FROM_FRD
             rate = _vectors(topic, "gyro_rad") * logs.FLU_FROM_FRD
@@ -167,9 +170,9 @@ def _tables(log: Any) -> logs.LogTables:
             yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
             tables.yaw = np.column_stack([stamps, 0.5 * math.pi - yaw])
         elif name == "vehicle_gps_position" and number == 0:
-            _take_fixes(tables, topic, stamps)
+            _take_fixes(tables, topic)
     for number in range(MOST_SENSORS):
-        _take_field(tables, data, number, parameters, shift, is_settled)
+        _take_field(tables, data, number, parameters, is_settled)
     if tables.notes and not tables.fields.found:
         raise FileError(tables.notes[0])
     tables.notes = [f"left out: {words}" for words in tables.notes]
@@ -178,12 +181,7 @@ def _tables(log: Any) -> logs.LogTables:
 
 
 def _take_field(
-    tables: logs.LogTables,
-    data: Topics,
-    number: int,
-    parameters: Mapping[str, float],
-    shift: float,
-    is_settled: bool,
+    tables: logs.LogTables, data: Topics, number: int, parameters: Parameters, is_settled: bool
 ) -> None:
     """Add a raw field in the body's forward-left-up axes, or note why it is left out."""
     raw = _of_one(data.get(("sensor_mag", number), {}))
@@ -211,14 +209,13 @@ def _take_field(
         bias = _bias(data, number, topic["timestamp"])
         inner = (_vectors(topic, "magnetometer_ga") + bias) @ pose
         field = (np.linalg.solve(matrix, inner.T).T + offset) @ pose.T
-    stamps = 1e-6 * topic["timestamp"] + shift
-    rows = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
+    rows = np.column_stack([topic[STAMP], field * logs.FLU_FROM_FRD * TESLA])
     frame = f"px4_mag{0 if slot is None else slot}_{name}"
     notes = [NOT_COMPENSATED if topic is raw else COMPENSATED] if has_power else []
     tables.fields.found[number] = logs.Sensor(rows, frame=frame, notes=notes)
 
 
-def _sort(fields: logs.Sensors, data: Topics, parameters: Mapping[str, float]) -> None:
+def _sort(fields: logs.Sensors, data: Topics, parameters: Parameters) -> None:
     """Put the magnetometers in order: the one PX4 selected, then by CAL_MAGn_PRIO."""
     choices = (data.get((name, 0), {}).get("mag_device_id", np.empty(0)) for name in SELECTIONS)
     selected = next(filter(None, map(logs.most_common, choices)), 0)
@@ -241,7 +238,7 @@ def _sort(fields: logs.Sensors, data: Topics, parameters: Mapping[str, float]) -
         fields.reason = "the first by CAL_MAG_PRIO"
 
 
-def _slot(device: int, parameters: Mapping[str, float]) -> int | None:
+def _slot(device: int, parameters: Parameters) -> int | None:
     # A device is an unsigned number in the topics, and a signed one in the parameters.
     devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
     return devices.index(device) if device and device in devices else None
@@ -278,18 +275,18 @@ def _bias(data: Topics, number: int, stamps: FloatArray) -> FloatArray:
 
 
 def _of_axes(
-    slot: int | None, name: str, parameters: Mapping[str, float], default: float = 0.0
+    slot: int | None, name: str, parameters: Parameters, default: float = 0.0
 ) -> FloatArray:
     """Return three parameters of a slot; their defaults without a slot."""
     return np.array([parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"])
 
 
-def _take_fixes(tables: logs.LogTables, topic: Topic, stamps: FloatArray) -> None:
+def _take_fixes(tables: logs.LogTables, topic: Topic) -> None:
     degrees = "latitude_deg" in topic  # since 1.14
     latitude = topic["latitude_deg"] if degrees else 1e-7 * topic["lat"]
     longitude = topic["longitude_deg"] if degrees else 1e-7 * topic["lon"]
     height = topic["altitude_msl_m"] if degrees else 1e-3 * topic["alt"]
-    has_fix = topic["fix_type"] >= logs.FIX_3D
+    stamps, has_fix = topic[STAMP], topic["fix_type"] >= logs.FIX_3D
     for row in zip(has_fix, latitude, longitude, height, stamps, strict=True):
         tables.fixes.append(Fix(bool(row[0]), *map(float, row[1:])))
     moving = np.column_stack([stamps, topic["vel_e_m_s"], topic["vel_n_m_s"]])[has_fix]
