@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from magcal_ros.core.errors import MagcalError
@@ -30,19 +29,18 @@ def joints_of(text: str) -> tuple[FrameJoint, ...]:
         raise RobotDescriptionError(
             f"the robot description has {len(text)} characters; at most {LARGEST} are read"
         )
-    # Unlike ElementTree's own parser, expat ignores namespaces, as ROS does.
-    parser, builder = expat.ParserCreate(), TreeBuilder()
-    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    reader = _Reader()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = reader.start
+    parser.EndElementHandler = reader.end
     parser.StartDoctypeDeclHandler = _refuse_doctype
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         raise RobotDescriptionError(f"the robot description is not XML: {error}") from None
-    robot = builder.close()
-    if robot.tag != "robot":
+    if not reader.is_robot:
         raise RobotDescriptionError("the robot description is not a URDF: its root is not <robot>")
-    # A transmission also has a <joint>, which only refers to one.
-    return tuple(_joint_of(element) for element in robot if element.tag == "joint")
+    return tuple(reader.joints)
 
 
 def _refuse_doctype(*_: object) -> None:
@@ -52,10 +50,36 @@ def _refuse_doctype(*_: object) -> None:
     )
 
 
-def _joint_of(joint: Element) -> FrameJoint:
-    parts = {part.tag: part.attrib for part in joint}
-    name, kind = (identifier(joint.get(key, "")) for key in ("name", "type"))
-    parent, child = (identifier(parts.get(k, {}).get("link", "")) for k in ("parent", "child"))
+class _Reader:
+    """Collects the joints directly below the root; a transmission only refers to joints."""
+
+    def __init__(self) -> None:
+        self.joints: list[FrameJoint] = []
+        self.is_robot = False
+        self._path: list[str] = []
+        self._joint: dict[str, str] = {}
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        self._path.append(name)
+        if len(self._path) == 1:
+            self.is_robot = name == "robot"
+        elif self._path == ["robot", "joint"]:
+            self._joint = {key: identifier(attributes.get(key, "")) for key in ("name", "type")}
+        elif self._path[:2] == ["robot", "joint"] and len(self._path) == 3:
+            if name in ("parent", "child"):
+                self._joint[name] = identifier(attributes.get("link", ""))
+            elif name == "origin" and "rpy" in attributes:
+                self._joint["rpy"] = attributes["rpy"]
+
+    def end(self, _: str) -> None:
+        if self._path == ["robot", "joint"]:
+            self.joints.append(_joint_of(self._joint))
+        self._path.pop()
+
+
+def _joint_of(read: dict[str, str]) -> FrameJoint:
+    name, kind = read["name"], read["type"]
+    parent, child = read.get("parent", ""), read.get("child", "")
     if kind not in KINDS:
         raise RobotDescriptionError(
             f"the joint {name!r} of the robot description has the type {kind!r}; URDF allows "
@@ -65,7 +89,7 @@ def _joint_of(joint: Element) -> FrameJoint:
         raise RobotDescriptionError(
             f"the joint {name!r} of the robot description names no parent or no child"
         )
-    rpy = _angles(name, parts.get("origin", {}).get("rpy", "0 0 0"))
+    rpy = _angles(name, read.get("rpy", "0 0 0"))
     return FrameJoint(name, kind, parent, child, rotation_from_rpy(*rpy))
 
 
