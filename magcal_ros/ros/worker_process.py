@@ -11,16 +11,15 @@ import os
 import pickle
 import selectors
 import signal
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from typing import IO, Any, TypeVar
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.processes import start, unbound_memory
-
-if TYPE_CHECKING:
-    import subprocess
 
 T = TypeVar("T")
 
@@ -57,8 +56,6 @@ class WorkerProcess:
         Its standard input is the file `calls`, or a pipe. Raises Lost if the system cannot start
         the process, and Stopped after `end`.
         """
-        import subprocess
-
         with self._lock:
             if self._is_over:
                 raise WorkerStopped
@@ -90,8 +87,6 @@ class WorkerProcess:
 
         No other call may be running.
         """
-        import tempfile
-
         # With a pipe, the call would be incomplete if the node ends before it is read.
         with tempfile.TemporaryFile() as call:
             call.write(_message((function, arguments)))
@@ -172,8 +167,6 @@ def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
 
 def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
     """Return why there was no answer, and make sure that the process ends."""
-    import subprocess
-
     if _is_stopped(process):
         process.kill()
         return "the fitting process was stopped (SIGSTOP), and the node has ended it"
