@@ -2,7 +2,7 @@
 
 Signals that end the process come from the user, a supervisor or a closed terminal. rclpy's signal
 handlers shut down the context first; then no zeros can be published to stop a robot that turns.
-Here a signal calls a listener in a separate thread, so that a blocked callback cannot delay it.
+Here a separate thread waits for signals, so that a blocked callback cannot delay it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -21,26 +21,19 @@ from magcal_ros.ros.guard import SIGNALS
 from magcal_ros.ros.node import Calibrator
 
 
-class EndSignals:
-    """Catches the signals that end the process; create it before the middleware starts threads."""
+def catch_end_signals() -> int:
+    """Return a file descriptor from which the signals that end the process can be read.
 
-    def __init__(self) -> None:
-        self._reader, writer = os.pipe()
-        os.set_blocking(writer, False)
-        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        for number in SIGNALS:
-            # Under nohup the process continues when the terminal is closed.
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, lambda *_: None)
-
-    def when_given(self, listener: Callable[[], None]) -> None:
-        """Call `listener` once, from another thread; at once if a signal has come already."""
-
-        def watch() -> None:
-            os.read(self._reader, 1)
-            listener()
-
-        threading.Thread(target=watch, name="magcal-signals", daemon=True).start()
+    To be called before the middleware starts threads.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    for number in SIGNALS:
+        # Under nohup the process continues when the terminal is closed.
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
+    return reader
 
 
 SWITCH_INTERVAL = 0.0005
@@ -59,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until a signal ends it; returns the exit status."""
     # The limit also holds for the worker processes that this process starts.
     use_one_thread()
-    signals = EndSignals()
+    signals = catch_end_signals()
     if arguments is None:
         leave_out_current_folder()
     given = list(sys.argv if arguments is None else arguments)
@@ -86,11 +79,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _spin(node: Calibrator, signals: EndSignals) -> None:
+def _spin(node: Calibrator, signals: int) -> None:
     spinner = node.spinner()
 
-    def end() -> None:
-        # Called in the signals' thread, so that the robot stops even if a callback is blocked.
+    def end_by_signal() -> None:
+        # In a thread of its own, so that the robot stops even if a callback is blocked.
+        os.read(signals, 1)
         last_resort = threading.Timer(LAST_RESORT, os._exit, [0])
         last_resort.daemon = True
         last_resort.start()
@@ -99,7 +93,7 @@ def _spin(node: Calibrator, signals: EndSignals) -> None:
         finally:
             node.rotator.halt()
 
-    signals.when_given(end)
+    threading.Thread(target=end_by_signal, name="magcal-signals", daemon=True).start()
     try:
         spinner.spin()
     finally:
