@@ -16,7 +16,6 @@ from std_msgs.msg import String
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import (
     FIXED,
     FrameJoint,
@@ -72,19 +71,15 @@ class DescriptionListener:
         if self._is_listening:
             return
         self._is_listening = True
-        kinds: list[tuple[type, str, QoSProfile, Callable[[Any], Iterable[FrameJoint]]]] = [
-            (String, "robot_description", LATCHED, lambda message: joints_of(message.data))
-        ]
-        transforms = optional_type("tf2_msgs", "TFMessage")
-        if transforms is not None:
-            static = transforms, "/tf_static", STATIC_TRANSFORMS
-            kinds.append((*static, lambda message: joints_from(message.transforms)))
-        for kind, topic, quality, joints_in in kinds:
-            take = partial(self._take, topic, kind, joints_in)
-            self._node.create_subscription(kind, topic, take, quality, raw=True)
+        read = partial(self._take, String, "robot_description", lambda found: joints_of(found.data))
+        self._node.create_subscription(String, "robot_description", read, LATCHED, raw=True)
+        kind, topic = optional_type("tf2_msgs", "TFMessage"), "/tf_static"
+        if kind is not None:
+            read = partial(self._take, kind, topic, lambda found: joints_from(found.transforms))
+            self._node.create_subscription(kind, topic, read, STATIC_TRANSFORMS, raw=True)
 
     def _take(
-        self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
+        self, kind: type, topic: str, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
             self._complain(f"{topic} has messages above {LARGEST} bytes and is not read")
@@ -134,12 +129,8 @@ class SensorFrames:
         self._settings = settings
         self._description = DescriptionListener(node, self._look)
         self._imu_frame = self._magnetometer_frame = ""
-        self._used: Settings | None = None
-        self._poses = SensorPoses(np.eye(3), False, np.eye(3))
-        self._view: BaseHeading | None = BaseHeading(np.eye(3))
-        self._contradiction = ""
         self._vehicle_yaw: VehicleYaw | None = None
-        self._against_drive = ""
+        self._look()
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> bool:
         """Take the frames in the messages; returns whether there were other frames."""
@@ -161,14 +152,14 @@ class SensorFrames:
 
     def mounting(self, number: int = 1, frame: str = "") -> Mounting:
         """Return the given or described mounting of a magnetometer in the IMU frame."""
-        self._follow_parameters()
-        settings, front, top = self._settings(), self._forward, self._upward
-        if number == 1:
-            pose, mounting = self._poses.magnetometer, settings.knowledge.mounting
-            return replace(mounting, pose=pose, forward=front, upward=top)
+        pose, settings = self._poses_of(number, frame).magnetometer, self._settings()
         # The given gains are of the first magnetometer only.
-        pose = self._poses_of(number, frame).magnetometer
-        return Mounting(pose=pose, forward=front, upward=top)
+        known = settings.knowledge.mounting if number == 1 else Mounting()
+        vehicle = (self._view or BaseHeading(np.eye(3))).pose
+        front = vehicle[0]
+        if not settings.base_frame and settings.vehicle_yaw is not None:
+            front = rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
+        return replace(known, pose=pose, forward=front, upward=vehicle[2])
 
     def doubt(self, number: int, frame: str, calibration: Calibration) -> str:
         """Return in words that a calibration contradicts the pose of its magnetometer.
@@ -176,8 +167,7 @@ class SensorFrames:
         Empty if it does not, or if the pose is neither given nor described. A calibration from
         before a pose was corrected keeps the old one.
         """
-        self._follow_parameters()
-        poses = self._poses if number == 1 else self._poses_of(number, frame)
+        poses = self._poses_of(number, frame)
         if not (poses.is_described or number in self._settings().mounts):
             return ""
         left, _, right = np.linalg.svd(calibration.correction.matrix)
@@ -191,11 +181,11 @@ class SensorFrames:
         )
 
     def _poses_of(self, number: int, frame: str) -> SensorPoses:
-        frames, given = (
-            replace(self._frames, magnetometer=frame),
-            self._settings().mounts.get(number),
-        )
-        return sensor_poses(frames, self._description.tree, given)
+        self._follow_parameters()
+        if number == 1:
+            return self._poses
+        frames, given = replace(self._frames, magnetometer=frame), self._settings().mounts
+        return sensor_poses(frames, self._description.tree, given.get(number))
 
     def follow(
         self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None
@@ -228,19 +218,6 @@ class SensorFrames:
         return [each for each in words if each]
 
     @property
-    def _forward(self) -> FloatArray:
-        """The given or described front of the vehicle, IMU axes; by default x. Shape (3,)."""
-        settings = self._settings()
-        if settings.base_frame or settings.vehicle_yaw is None:
-            return (self._view or BaseHeading(np.eye(3))).pose[0]
-        return rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
-
-    @property
-    def _upward(self) -> FloatArray:
-        """The described top of the vehicle, IMU axes; by default z. Shape (3,)."""
-        return (self._view or BaseHeading(np.eye(3))).pose[2]
-
-    @property
     def _frames(self) -> Frames:
         return Frames(
             identifier(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
@@ -262,6 +239,4 @@ class SensorFrames:
         found = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
         corrected, self._against_drive = found
         pose = imu if corrected is None else corrected
-        view = None if pose is None else BaseHeading(pose)
-        if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
-            self._view = view
+        self._view = None if pose is None else BaseHeading(pose)
