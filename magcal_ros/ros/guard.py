@@ -259,18 +259,37 @@ def main() -> int:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
-    brake = Brake(topic, stamped, frame)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    # A name that begins with an underscore is hidden in lists of nodes.
+    node = rclpy.create_node(
+        f"_magcal_guard_{os.getpid()}",
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
+    # Bases that check the stamp take zero as now; their clock may differ from this one.
+    zero = velocity(0.0, stamped, frame)
+    out = node.create_publisher(type(zero), topic, QoSProfile(depth=1))
     # A blocked log of the node must not block the guard.
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
+    proof = task(type(zero).__name__, out.topic_name, silence)
+    was_connected = False
 
     def answer(question: bytes) -> None:
-        if brake.is_connected:
-            _say(question + b" " + brake.task(silence))
+        nonlocal was_connected
+        was_connected = was_connected or out.get_subscription_count() > 0
+        if was_connected:
+            _say(question + b" " + proof)
 
     if not is_needed(sys.stdin.fileno(), silence, answer):
         return 0
-    brake.stop_base(lambda: _say(STOPPED))
+    deadline = time.monotonic() + ZEROS_FOR
+    out.publish(zero)
+    _say(STOPPED)
+    while time.monotonic() < deadline:
+        time.sleep(ZEROS_EVERY)
+        out.publish(zero)
     return 1
 
 
@@ -299,40 +318,3 @@ def is_needed(line: int, silence: float, answer: Callable[[bytes], object]) -> b
             answer(each[1:])
         if not words or time.monotonic() > deadline:
             return deadline < math.inf
-
-
-class Brake:
-    """Publishes zero velocities to the base."""
-
-    def __init__(self, topic: str, stamped: bool, frame: str) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        # A name that begins with an underscore is hidden in lists of nodes.
-        node = rclpy.create_node(
-            f"_magcal_guard_{os.getpid()}",
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
-        # Bases that check the stamp take zero as now; their clock may differ from this one.
-        self._zero = velocity(0.0, stamped, frame)
-        self._out = node.create_publisher(type(self._zero), topic, QoSProfile(depth=1))
-        self._is_connected = False
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the topic has had a subscription."""
-        self._is_connected = self._is_connected or self._out.get_subscription_count() > 0
-        return self._is_connected
-
-    def task(self, silence: float) -> bytes:
-        """Return the answer with the type and the topic of the actual publisher."""
-        return task(type(self._zero).__name__, self._out.topic_name, silence)
-
-    def stop_base(self, tell: Callable[[], None]) -> None:
-        """Publish zeros for a second; `tell` is called after the first zero."""
-        deadline = time.monotonic() + ZEROS_FOR
-        self._out.publish(self._zero)
-        tell()
-        while time.monotonic() < deadline:
-            time.sleep(ZEROS_EVERY)
-            self._out.publish(self._zero)
