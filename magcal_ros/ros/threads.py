@@ -256,7 +256,8 @@ def _release(entity: Any) -> None:
 
 T = TypeVar("T")
 
-Done = Callable[[], object]
+Job = tuple[Callable[[], Any], Callable[[Any], object], Callable[[Exception], object]]
+"""Work, and what to do with its result or its error."""
 
 
 class BackgroundThread:
@@ -268,8 +269,8 @@ class BackgroundThread:
 
     def __init__(self, node: Node, name: str) -> None:
         self._node, self._name = node, name
-        self._waiting: SimpleQueue[Callable[[], Done]] = SimpleQueue()
-        self._done: SimpleQueue[Done] = SimpleQueue()
+        self._waiting: SimpleQueue[Job] = SimpleQueue()
+        self._done: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._thread: threading.Thread | None = None
 
     def run(
@@ -279,14 +280,6 @@ class BackgroundThread:
         otherwise: Callable[[Exception], object],
     ) -> None:
         """Run `work` in the thread, then `then` or `otherwise` in the executor's thread."""
-
-        def job() -> Done:
-            try:
-                result = work()
-            except Exception as error:  # the caller handles it
-                return partial(otherwise, error)
-            return partial(then, result)
-
         # The thread may have ended by an error, for example without free memory.
         if self._thread is None or not self._thread.is_alive():
             thread = threading.Thread(target=self._work, name=self._name, daemon=True)
@@ -296,7 +289,7 @@ class BackgroundThread:
                 self._hand_over(partial(otherwise, error))
                 return
             self._thread = thread
-        self._waiting.put(job)
+        self._waiting.put((work, then, otherwise))
 
     def deliver(self) -> None:
         """Handle the results of finished jobs, in the executor's thread."""
@@ -308,19 +301,19 @@ class BackgroundThread:
         if self._thread is None:
             return True
         is_done = threading.Event()
-
-        def last() -> Done:
-            is_done.set()
-            return lambda: None
-
-        self._waiting.put(last)
+        self.run(is_done.set, lambda _: None, lambda _: None)
         return is_done.wait(patience)
 
     def _work(self) -> None:
         while True:
-            self._hand_over(self._waiting.get()())
+            work, then, otherwise = self._waiting.get()
+            try:
+                done = partial(then, work())
+            except Exception as error:  # the caller handles it
+                done = partial(otherwise, error)
+            self._hand_over(done)
 
-    def _hand_over(self, done: Done) -> None:
+    def _hand_over(self, done: Callable[[], object]) -> None:
         self._done.put(done)
         executor = self._node.executor
         # Waking an executor that is being shut down fails, and no result is needed then.
