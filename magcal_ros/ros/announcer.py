@@ -7,9 +7,9 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from traceback import walk_tb
-from typing import Protocol
+
+from rclpy.node import Node
 
 PAUSE = 10.0  # seconds between two lines on one subject
 
@@ -19,37 +19,16 @@ LASTING = 3.0
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
-class Log(Protocol):
-    """The methods that a logger needs, because rclpy's class of loggers is not public."""
-
-    def info(self, message: str) -> object:
-        """Log an event."""
-
-    def warning(self, message: str) -> object:
-        """Log a fault."""
-
-    def error(self, message: str) -> object:
-        """Log a failure."""
-
-
-@dataclass
-class _Line:
-    """The newest line on a subject, and the line that was logged last."""
-
-    text: str = ""
-    wrong: bool = False
-    logged: str = ""  # logged last
-    at: float = -PAUSE  # time of the last log, seconds
-
-
 class Announcer:
-    """Logs changes, at most once in ten seconds for each subject."""
+    """Logs changes in the node's log, at most once in ten seconds for each subject."""
 
     def __init__(
-        self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
+        self, node: Node, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
     ) -> None:
-        self._log, self._clock, self._lasting = log, clock, lasting
-        self._lines: dict[str, _Line] = {}
+        self._log, self._clock, self._lasting = node.get_logger(), clock, lasting
+        # By subject, the newest line and whether it is a warning; the last logged line, its time.
+        self._newest: dict[str, tuple[str, bool]] = {}
+        self._logged: dict[str, tuple[str, float]] = {}
         self._wrong_since: dict[str, float] = {}
         self._complained_at: dict[str, float] = {}
 
@@ -58,9 +37,8 @@ class Announcer:
 
         Within ten seconds after the last line, the newest line waits for `complain`.
         """
-        line = self._lines.setdefault(subject, _Line())
-        line.text, line.wrong = text, wrong
-        self._say_if_due(line)
+        self._newest[subject] = text, wrong
+        self._say_if_due(subject)
 
     def complain(self, complaints: Iterable[str]) -> None:
         """Log each complaint once it has lasted, and again when it comes back.
@@ -68,8 +46,8 @@ class Announcer:
         Complaints that differ only in numbers are the same. Waiting lines of `tell` are logged too.
         To be called about once a second.
         """
-        for line in self._lines.values():
-            self._say_if_due(line)
+        for subject in self._newest:
+            self._say_if_due(subject)
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
         self._wrong_since = {kind: self._wrong_since.get(kind, now) for kind in found}
@@ -85,15 +63,16 @@ class Announcer:
                 self._log.warning(found[kind])
         self._complained_at = logged_at
 
-    def _say_if_due(self, line: _Line) -> None:
-        now = self._clock()
-        if line.text != line.logged and now - line.at >= PAUSE:
-            line.logged, line.at = line.text, now
+    def _say_if_due(self, subject: str) -> None:
+        (text, wrong), now = self._newest[subject], self._clock()
+        logged, at = self._logged.get(subject, ("", -math.inf))
+        if text != logged and now - at >= PAUSE:
+            self._logged[subject] = text, now
             # rclpy refuses another severity from the same call.
-            if line.wrong:
-                self._log.warning(line.text)
+            if wrong:
+                self._log.warning(text)
             else:
-                self._log.info(line.text)
+                self._log.info(text)
 
 
 LONGEST = 300  # logged characters of an error's text; some errors quote a whole message

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from rclpy.node import Node
+
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.errors import in_words
@@ -27,7 +29,6 @@ from magcal_ros.files.default_paths import (
     sensor_file,
 )
 from magcal_ros.files.disk import FileError, printable, with_time_limit
-from magcal_ros.ros.announcer import Log
 from magcal_ros.ros.threads import BackgroundThread
 
 Tell = Callable[[Conclusion], None]
@@ -52,23 +53,22 @@ class LoadedCalibration(NamedTuple):
 class CalibrationStore:
     """Holds the calibration in force, and saves and loads its file.
 
-    `name` is the node's namespace and name, part of the default path; a `number` above 1 is added
-    to the file's name. `chosen` returns the parameter calibration_file. Messages do not reveal the
+    The node's namespace and name are part of the default path; a `number` above 1 is added to the
+    file's name. `chosen` returns the parameter calibration_file. Messages do not reveal the
     content of a file that is named after the start. `apply` is called with the new calibration (or
     None) and the magnetometer's frame at each change.
     """
 
     def __init__(
         self,
-        name: tuple[str, str],
+        node: Node,
         files: BackgroundThread,
-        log: Log,
         apply: Callable[[Calibration | None, str], object],
         chosen: Callable[[], str] = lambda: "",
         number: int = 1,
     ) -> None:
-        self._name, self._number, self._apply, self._chosen = name, number, apply, chosen
-        self._files, self._log, self._given = files, log, chosen()
+        self._node, self._number, self._apply, self._chosen = node, number, apply, chosen
+        self._files, self._log, self._given = files, node.get_logger(), chosen()
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
         self.problem = ""  # the last failure with the file; empty after a success
@@ -211,8 +211,10 @@ class CalibrationStore:
     def _path(self, frame: str, chosen: str | None = None) -> Path:
         """Return the chosen file, or the default one of this node and sensor."""
         chosen = self._chosen() if chosen is None else chosen
-        own = chosen_path(chosen) if chosen else sensor_file(frame, *self._name)
-        return numbered(own, self._number)
+        if chosen:
+            return numbered(chosen_path(chosen), self._number)
+        node = self._node
+        return numbered(sensor_file(frame, node.get_namespace(), node.get_name()), self._number)
 
     def _remember(self, frame: str) -> None:
         self._found[frame] = None

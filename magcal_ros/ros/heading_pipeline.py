@@ -151,7 +151,7 @@ class ReferenceSource:
         self.fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
-        self._announcer = Announcer(node.get_logger(), lasting=0.0)
+        self._announcer = Announcer(node, lasting=0.0)
         self._reference = Reference(ReferenceField(), "unknown")
         self.refresh()
 

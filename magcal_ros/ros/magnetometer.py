@@ -15,7 +15,6 @@ from magcal_ros.core.calibrate import Outcome, add_turn, predicted_sigma
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_machine as tm
@@ -30,7 +29,7 @@ from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sens
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
+from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, read_field
 from magcal_ros.ros.worker_process import WorkerProcess
 
@@ -73,12 +72,11 @@ class Magnetometer:
         self.topic = node.resolve_topic_name(self._topic)
         streams = Streams(pipeline.settings.max_gap)
         self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic, kind=FIELD_TYPE), streams)
-        name, log = (node.get_namespace(), node.get_name()), node.get_logger()
-        kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
-        self.store = CalibrationStore(name, *kept)
+        self.store = CalibrationStore(
+            node, pipeline.files, self._apply, lambda: pipeline.settings.calibration_file, number
+        )
         self.control = Control(self, robot)
-        thread = BackgroundThread(node, "magcal-report")
-        self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
+        self.reporter = Reporter(node, inputs, pipeline.travel)
         self.compass: Compass | None = None
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
@@ -106,14 +104,13 @@ class Magnetometer:
     def acceptable(self) -> Calibration | str | None:
         """The last fit, or why it must not be put in force; None if there is none to accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
-        found = None if outcome is None else outcome.calibration
-        if outcome is None or found is None:
+        if outcome is None or outcome.calibration is None:
             return None
         if self.number != FIRST and (outcome.verdict.accepted or turn.outcome_is_of_others):
             return None
         if turn.outcome_is_of_others:
             return "the last fit is of sensors other than the present ones"
-        return found
+        return outcome.calibration
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Put a calibration in force and save it; a success only if it is saved."""
@@ -126,17 +123,6 @@ class Magnetometer:
         self.store.forget()
         if self.store.calibration is not None:
             self.store.reset()
-
-    def drive_knowledge(self) -> Knowledge | None:
-        """Return the prior knowledge for a drive; None while a turn is under way."""
-        if self.control.turn.state is not tm.TurnState.IDLE:
-            return None
-        return self.pipeline.current_settings(self.number, self.inputs.field.frame).knowledge
-
-    def describe_silence(self) -> str:
-        """Return which sensor is missing, and what to check."""
-        complaints = self.inputs.complaints()
-        return "; ".join(complaints) or "no new pair of field and acceleration samples has come"
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self.compass = None if calibration is None else Compass(calibration)
@@ -238,7 +224,9 @@ class Control:
         """Check the progress of a turn; returns whether one is under way."""
         if self.turn.state is tm.TurnState.COLLECTING:
             self._collect()
-            self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
+            missing = "; ".join(self._magnetometer.inputs.complaints())
+            missing = missing or "no new pair of field and acceleration samples has come"
+            self.tell(self.turn.tick, missing, now())
         return self.turn.state is not tm.TurnState.IDLE
 
     def look(self, conditions: TurnConditions) -> bool:

@@ -43,7 +43,7 @@ class Calibrator(Node):
         super().__init__(NAME, **kwargs)
         self._status = ""
         self.callback_errors = CallbackErrors(self.get_logger().error)
-        self._announcer = Announcer(self.get_logger())
+        self._announcer = Announcer(self)
         self._table = Parameters(self, given)
         # The messages of the IMU come first, because the others refer to up.
         self._sensor_group = SensorGroup()

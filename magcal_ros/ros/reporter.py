@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from rclpy.node import Node
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import MagcalError, in_words
@@ -35,14 +36,8 @@ class Reporter:
     reports only the newest is written.
     """
 
-    def __init__(
-        self,
-        thread: BackgroundThread,
-        say: Callable[[str], object],
-        inputs: Inputs,
-        travel: Travel,
-    ) -> None:
-        self._thread, self._say = thread, say
+    def __init__(self, node: Node, inputs: Inputs, travel: Travel) -> None:
+        self._thread, self._say = BackgroundThread(node, "magcal-report"), node.get_logger().error
         self._inputs, self._travel = inputs, travel
         self._worker = WorkerProcess()
         self._newest: Path | None = None

@@ -14,6 +14,7 @@ from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Watch
 from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
+from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
@@ -102,11 +103,10 @@ class SelfCalibrationRunner:
         }
 
     def _look(self) -> None:
-        knowledge = self._magnetometer.drive_knowledge()
-        if knowledge is None:
+        if self._magnetometer.control.turn.state is not TurnState.IDLE:
             return
         self._idle = 0
-        job = self.machine.job(knowledge)
+        job = self.machine.job(self._pipeline.current_settings().knowledge)
         self._jobs.run(lambda: self.worker.run(run_with_low_priority, job), self._note, self._lost)
 
     def _lost(self, error: Exception) -> None:

@@ -1,5 +1,7 @@
 """The log reports what is new, at a limited rate."""
 
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip("rclpy")
@@ -23,7 +25,8 @@ class Log:
 class Stage:
     def __init__(self):
         self.log, self.now = Log(), 100.0
-        self.announcer = Announcer(self.log, lambda: self.now)
+        node = SimpleNamespace(get_logger=lambda: self.log)
+        self.announcer = Announcer(node, lambda: self.now)
 
     def complain_for(self, seconds, *complaints):
         for _ in range(round(seconds)):
@@ -101,7 +104,8 @@ def test_the_memory_for_complaints_is_bounded(stage):
 
 def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
     now = [100.0]
-    announcer = Announcer(get_logger("announcer"), lambda: now[0], lasting=0.0)
+    node = SimpleNamespace(get_logger=lambda: get_logger("announcer"))
+    announcer = Announcer(node, lambda: now[0], lasting=0.0)
     for number in range(3):
         for subject, wrong in (("a", False), ("b", True), ("c", False), ("d", True)):
             announcer.tell(subject, f"{subject} {number}", wrong=wrong)

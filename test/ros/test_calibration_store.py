@@ -34,12 +34,21 @@ class Elsewhere:
 
 
 class Lines(list):
-    """A log."""
+    """The node that is called /calibrator, and its log."""
 
     def info(self, line):
         self.append(line)
 
     error = warning = info
+
+    def get_logger(self):
+        return self
+
+    def get_namespace(self):
+        return "/"
+
+    def get_name(self):
+        return "calibrator"
 
 
 @pytest.fixture
@@ -60,13 +69,13 @@ def met(ros_home, reads):
     """Return store, its runner and log; only the file of `left` exists."""
     store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
     files, log = Elsewhere(), Lines()
-    return CalibrationStore(("/", "calibrator"), files, log, lambda *_: None), files, log
+    return CalibrationStore(log, files, lambda *_: None), files, log
 
 
 def begun_with(chosen, files, log=None):
     """Return a store that has begun to read a chosen file."""
     log = Lines() if log is None else log
-    store = CalibrationStore(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
+    store = CalibrationStore(log, files, lambda *_: None, lambda: str(chosen))
     store.begin()
     return store
 

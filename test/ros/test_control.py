@@ -64,8 +64,8 @@ class House:
     currents = ()
     gyro_at_rest = None
 
-    def describe_silence(self):
-        return "/mag has been silent"
+    def complaints(self):
+        return ["/mag has been silent"]
 
     def turn_ended(self, _):
         pass

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -87,9 +88,8 @@ def test_a_file_with_impossible_numbers_is_not_put_in_force(tmp_path, entry):
     path.write_text(yaml.safe_dump(document))
     applied = []
     chosen = str(path)
-    store = CalibrationStore(
-        ("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen
-    )
+    node = SimpleNamespace(get_logger=lambda: None)
+    store = CalibrationStore(node, None, lambda *what: applied.append(what), lambda: chosen)
     with pytest.raises(FileError, match=f"{entry} .*1e\\+300"):
         store.read(str(path), "mag_link")
     assert not applied

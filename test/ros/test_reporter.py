@@ -12,7 +12,6 @@ from magcal_ros.report import mark_in_force, new_folder, remove_old
 from magcal_ros.report.write import IN_FORCE
 from magcal_ros.ros import reporter as reporter_module
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.threads import BackgroundThread
 
 NOW = datetime(2026, 5, 31, 14, 3, 7)
 
@@ -52,14 +51,11 @@ def report(reporter, folder, second=0, accepted=False, kept=50):
     return reporter.report(second, settings, outcome)
 
 
-def reporter_of(thread, stated):
+def reporter_of(stated):
+    log = SimpleNamespace(error=stated.append)
+    node = SimpleNamespace(executor=None, get_logger=lambda: log)
     inputs, travel = SimpleNamespace(imu=SENSOR, field=SENSOR), SimpleNamespace(yaw=None)
-    return Reporter(thread, stated.append, inputs, travel)
-
-
-@pytest.fixture
-def thread():
-    return BackgroundThread(SimpleNamespace(executor=None), "reports")
+    return Reporter(node, inputs, travel)
 
 
 @pytest.fixture
@@ -68,14 +64,14 @@ def stated():
 
 
 @pytest.fixture
-def reporter(thread, stated):
-    reporter = reporter_of(thread, stated)
+def reporter(stated):
+    reporter = reporter_of(stated)
     reporter._worker = Draws()
     return reporter
 
 
-def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, stated, reporter):
-    draws = reporter._worker
+def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, stated, reporter):
+    draws, thread = reporter._worker, reporter._thread
     for k in range(40):
         assert "Report: " in report(reporter, tmp_path, k)
         wait_until(lambda: draws.started)
@@ -97,9 +93,9 @@ def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, 
     assert len(draws.started) == 3
 
 
-def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, stated, monkeypatch):
-    reporter = reporter_of(thread, stated)
-    run = reporter._worker.run_once
+def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, stated, monkeypatch):
+    reporter = reporter_of(stated)
+    run, thread = reporter._worker.run_once, reporter._thread
     for longest, work in ((1.0, (time.sleep, 600.0)), (30.0, (time.sleep, 0.0))):
         monkeypatch.setattr(reporter_module, "LONGEST", longest)
         monkeypatch.setattr(reporter._worker, "run_once", lambda *_, work=work: run(*work))
@@ -110,13 +106,13 @@ def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, st
     assert "took more than 1 s and was ended" in words
 
 
-def test_the_newest_and_those_put_in_force_are_kept(tmp_path, thread, reporter):
+def test_the_newest_and_those_put_in_force_are_kept(tmp_path, reporter):
     for k in range(8):
         reporter._worker.may_end.release()
         report(reporter, tmp_path, k, accepted=k in (0, 2), kept=3)
         if k == 1:
             reporter.put_in_force()
-        assert thread.finish_within(30.0)
+        assert reporter._thread.finish_within(30.0)
     kept = sorted(int(f.name[-2:]) - 7 for f in tmp_path.iterdir())
     assert kept == [0, 1, 2, 5, 6, 7]
     marked = sorted(int(f.name[-2:]) - 7 for f in tmp_path.iterdir() if (f / IN_FORCE).exists())

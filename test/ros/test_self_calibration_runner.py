@@ -114,14 +114,14 @@ class TestInTheNode:
     def test_a_failed_job_is_reported_and_repeated(self, house, monkeypatch):
         runner, printed = house._self_calibration, []
         runner._say = printed.append
-        runner.machine.job(house._first.drive_knowledge())
+        runner.machine.job(house._pipeline.current_settings().knowledge)
         runner._lost(OSError("no memory"))
         assert "no memory" in printed[0]
         assert runner.facts()["fits_lost"] == 1
         status = watch_diagnostic(runner)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
-        runner.machine.job(house._first.drive_knowledge())
+        runner.machine.job(house._pipeline.current_settings().knowledge)
         runner._note(DriveResult(0.0))
         assert watch_diagnostic(runner).level == DiagnosticStatus.OK
         assert runner.facts()["fits_lost"] == 1
