@@ -119,9 +119,8 @@ class HeadingTopic:
             sample = read_heading(data)
         except Unreadable as error:
             sample = str(error)
-        fault = sample if isinstance(sample, str) else self._wrong_clock(sample.stamp)
-        if isinstance(sample, str) or fault:
-            self._fault = fault
+        self._fault = sample if isinstance(sample, str) else self._wrong_clock(sample.stamp)
+        if isinstance(sample, str) or self._fault:
             return
         if self._collector is None:
             # Modules that only headings need are imported with the first heading.

@@ -225,12 +225,12 @@ class CommandTopic:
             return
         kinds = {kind.__name__: kind for kind in (Twist, TwistStamped)}
         own = self._node.get_name(), self._node.get_namespace()
-        published = [
-            each.topic_type.rsplit("/", 1)[-1]
+        published = (
+            kinds.get(each.topic_type.rsplit("/", 1)[-1])
             for each in self._node.get_publishers_info_by_topic(self.topic)
             if (each.node_name, each.node_namespace) != own
-        ]
-        kind = next((kinds[each] for each in published if each in kinds), None)
+        )
+        kind = next(filter(None, published), None)
         present = None if self._subscription is None else self._subscription.msg_type
         if kind is not None and kind is not present:
             self.leave()
