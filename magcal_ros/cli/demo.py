@@ -222,7 +222,7 @@ def run_replay(options: argparse.Namespace) -> int:
         time.sleep(0.2)
         if not source.listeners:
             print("magcal: there is no subscriber; publishing anyway", file=sys.stderr)
-        count = replay(node, source, recording, options.rate, time.sleep, options.clock)
+        count = replay(node, source, recording, options.rate, options.clock)
     print(printable_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD
 

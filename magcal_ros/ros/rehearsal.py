@@ -68,24 +68,18 @@ def set_time(time: Any, stamp: float) -> None:
 
 
 def replay(
-    node: Node,
-    source: SensorSource,
-    recording: Recording,
-    rate: float,
-    between: Callable[[float], None],
-    clock: bool = False,
+    node: Node, source: SensorSource, recording: Recording, rate: float, clock: bool = False
 ) -> int:
     """Publish a recording with its own stamps, `rate` times faster than recorded.
 
-    `between` is called with the seconds to wait before the next sample; it may spin or sleep.
-    Returns the number of samples.
+    With `clock`, the stamps are published as simulated time. Returns the number of samples.
     """
     clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
     started, count = math.nan, 0
     for count, sample in enumerate(recording.cut(0.0, math.inf).samples(), start=1):
         if count == 1:
             started = time.monotonic() - sample.stamp / rate
-        between(max(0.0, started + sample.stamp / rate - time.monotonic()))
+        time.sleep(max(0.0, started + sample.stamp / rate - time.monotonic()))
         if clock_out is not None:
             set_time(message.clock, sample.stamp)
             clock_out.publish(message)
@@ -93,7 +87,7 @@ def replay(
     return count
 
 
-TURN_RATE = 0.5
+TURN_RATE, LONGEST_TURN = 0.5, 120.0  # rad/s, and seconds until a calibration is given up
 SAMPLES_PER_HEADING = 20
 
 PATIENCE = 30.0  # longest wait for an answer of the node, seconds, on a slow machine
@@ -193,7 +187,6 @@ class Rehearsal:
         self,
         show: Callable[[dict[str, Any]], None] = lambda _: None,
         yaw_rate: float = TURN_RATE,
-        patience: float = 120.0,
     ) -> Any:
         """Call ~/calibrate and turn the robot until the service answers; returns the answer."""
         future = self.call("calibrate")
@@ -207,7 +200,7 @@ class Rehearsal:
                 show(progress)
             return bool(future.done())
 
-        self.run(patience, yaw_rate, stop)
+        self.run(LONGEST_TURN, yaw_rate, stop)
         return self.answer(future)
 
     def published_errors(
