@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, MagneticField
 from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
-from magcal_ros.core.geometry.frame_tree import FrameTreeError
+from magcal_ros.core.geometry.frame_tree import Frames, sensor_poses
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
@@ -255,10 +255,5 @@ class Listener:
     def described_pose(self) -> FloatArray | None:
         """The magnetometer's pose in the IMU frame by the robot's description, if known."""
         imu, field = (identifier(sensor.frame) for sensor in self.sensors)
-        tree = self._description.tree
-        if not imu or not field or imu == field or field not in tree.frames:
-            return None
-        try:
-            return tree.pose(field, imu)
-        except FrameTreeError:
-            return None
+        poses = sensor_poses(Frames(imu, imu, field), self._description.tree, None)
+        return poses.magnetometer if poses.is_described and imu != field else None
