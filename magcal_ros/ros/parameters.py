@@ -143,13 +143,11 @@ class Parameters:
     def __init__(self, node: Node, given: Iterable[str] = ()) -> None:
         self._node = node
         self._specs = {spec.name: spec for spec in PARAMETERS}
-        self._values: dict[str, Any] = {}
         self.complaints: list[str] = []
         for name in given:
             if name not in self._specs:
                 self._report_unknown(name)
-        for spec in PARAMETERS:
-            self._values[spec.name] = self._declare(spec)
+        self._values = {spec.name: self._declare(spec) for spec in PARAMETERS}
         self._given = dict(self._values)
         self.settings = Settings.of(self._values)
         node.add_on_set_parameters_callback(self._check)
@@ -193,11 +191,10 @@ class Parameters:
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         """Return whether changes are allowed; another callback may still refuse them."""
         try:
-            Settings.of(self._changed(changes))
-            for change in changes:
-                if change.name in self._specs:
-                    spec = self._specs[change.name]
-                    self._require_changeable(spec, spec.parse(change.value))
+            changed = self._parsed(changes)
+            Settings.of(self._values | changed)
+            for name, value in changed.items():
+                self._require_changeable(self._specs[name], value)
         except (ValueError, FileError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         if not self._effects_come_later:
@@ -237,7 +234,7 @@ class Parameters:
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:
         """Use changes that all callbacks have accepted."""
-        self._values = self._changed(changes)
+        self._values |= self._parsed(changes)
         self.settings = Settings.of(self._values)
 
     def _put_in_effect_afterwards(self, changes: list[Parameter]) -> None:
@@ -253,11 +250,10 @@ class Parameters:
         else:
             executor.create_task(look)
 
-    def _changed(self, changes: list[Parameter]) -> dict[str, Any]:
-        """Return all values with these changes."""
+    def _parsed(self, changes: list[Parameter]) -> dict[str, Any]:
+        """Return the new values of the table's parameters."""
         ours = [change for change in changes if change.name in self._specs]
-        parsed = {change.name: self._specs[change.name].parse(change.value) for change in ours}
-        return {**self._values, **parsed}
+        return {change.name: self._specs[change.name].parse(change.value) for change in ours}
 
 
 def _with_range(descriptor: ParameterDescriptor, spec: ParameterSpec) -> ParameterDescriptor:
