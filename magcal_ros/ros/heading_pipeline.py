@@ -49,7 +49,7 @@ class Sensor:
     topic: str
     clock: Callable[[], float] = time.monotonic
     frame: str = ""
-    last_received: float | None = None
+    last_received: float = -math.inf  # by `clock`; -inf before the first message
     messages: int = 0
     changes: int = 0
     kind: str = ""  # the message type of the subscription
@@ -68,7 +68,7 @@ class Sensor:
 
     def note_message(self, frame: str) -> bool:
         """Note a message; returns whether it is the first, or its frame has changed."""
-        is_first = self.last_received is None
+        is_first = not self.messages
         self.messages += 1
         self.last_received = self.clock()
         if frame == self.frame:
@@ -86,11 +86,11 @@ class Sensor:
 
     def age(self) -> float:
         """Return seconds since the last message; infinite if none came."""
-        return math.inf if self.last_received is None else self.clock() - self.last_received
+        return self.clock() - self.last_received
 
     def complaint(self) -> str:
         """Return what is wrong with the topic and what to check; empty if nothing is."""
-        if self.last_received is None:
+        if not self.messages:
             why = "check that the driver runs and the topic is remapped to it"
             instead = published_instead(self.kind, self.published)
             if instead:
@@ -188,7 +188,10 @@ class ReferenceSource:
         settings = self._settings = self._table.settings
         given = settings.knowledge.reference
         place = settings.given.place or self.fixes.place
-        found = resolve(given, settings.given.local, place, None if place is None else self._year())
+        clock = self._node.get_clock().now().nanoseconds * 1e-9
+        # A tenth of a year: by the fix or the node's clock, else by the machine's.
+        year = round(year_of((self.fixes.stamp, clock), time.time()), 1)
+        found = resolve(given, settings.given.local, place, year)
         notes = list(found.complaints)
         if settings.given.place is not None or not given.is_known:
             notes += self.fixes.complaints(settings.given.place)
@@ -197,11 +200,6 @@ class ReferenceSource:
         if self._calibration is not None:
             notes.append(made_elsewhere(self._calibration, found.field))
         return replace(found, complaints=tuple(note for note in notes if note))
-
-    def _year(self) -> float:
-        """Return the date to a tenth of a year: of fix or node's clock, else of the machine's."""
-        clock = self._node.get_clock().now().nanoseconds * 1e-9
-        return round(year_of((self.fixes.stamp, clock), time.time()), 1)
 
 
 FIRST = 1  # number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`

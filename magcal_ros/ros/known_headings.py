@@ -154,14 +154,15 @@ class HeadingTopic:
         return wrong_clock(self._pipeline.up.newest_stamp - stamp, imu.topic, imu.age())
 
     def _fit(self, settings: Settings, collector: HeadingCollector) -> None:
+        # Loaded already, by the collector.
+        from magcal_ros.core.session.at_known_heading import fit_log
+
         measurements, kept = collector.measurements, collector.kept
-
-        def work() -> tuple[Outcome, str]:
-            from magcal_ros.core.session.at_known_heading import fit_log
-
-            return self._worker.run_once(fit_log, measurements, settings.knowledge)
-
-        self._pipeline.fits.run(work, lambda found: self._note(*found, kept), self._lost)
+        self._pipeline.fits.run(
+            lambda: self._worker.run_once(fit_log, measurements, settings.knowledge),
+            lambda found: self._note(*found, kept),
+            self._lost,
+        )
 
     def _lost(self, error: Exception) -> None:
         self._answer = f"the fit failed: {error}"
@@ -215,11 +216,7 @@ class KnownHeadings:
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
-        self._deadline = math.inf
-
-    @property
-    def _is_collecting(self) -> bool:
-        return math.isfinite(self._deadline)
+        self._deadline = math.inf  # of the collection, by the clock of `monotonic`
 
     def forget(self) -> None:
         """Discard all known headings."""
@@ -254,7 +251,7 @@ class KnownHeadings:
         """Take a field sample."""
         if self.antenna.is_received:
             self.antenna.on_field(sample)
-        if not self._is_collecting:
+        if self._deadline == math.inf:
             return
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
@@ -275,7 +272,7 @@ class KnownHeadings:
         if not self._measurements and topic is None and not self._answer:
             return None
         return {
-            "collecting": self._is_collecting,
+            "collecting": self._deadline < math.inf,
             "headings": [each.in_words for each in self._measurements],
             "answer": self._answer,
             "topic": topic,

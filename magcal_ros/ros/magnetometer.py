@@ -92,7 +92,7 @@ class Magnetometer:
         frames = self.inputs.field.frame, self.inputs.imu.frame
         self.control.tell(self.control.turn.note_sensors, *map(identifier, frames))
         self.owner.sensors_changed(self)
-        if self.inputs.field.last_received is not None:
+        if self.inputs.field.messages:
             self.store.note_sensor(self.inputs.field.frame)
 
     def start(self) -> tm.Conclusion:

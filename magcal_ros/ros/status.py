@@ -12,7 +12,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.self_calibration.jobs import Watch
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.files.default_paths import identifier
@@ -49,7 +48,12 @@ def status_json(
         "turns_kept": turn.turns_kept,
         "several": None if multi_turn is None else multi_turn.facts(),
         "calibration": _calibration(store),
-        "watch": None if watch is None else _watch(watch),
+        "watch": watch
+        and {
+            "stale": watch.is_stale,
+            "summary": watch.summary,
+            "findings": {f.key: round(f.value or 0.0, 2) for f in watch.findings},
+        },
         "magnetometers": magnetometers.facts(),
         "dropped": {
             "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
@@ -99,14 +103,6 @@ def _verdict(outcome: Outcome) -> Mapping[str, Any]:
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
         "installation_rpy_deg": found and [round(math.degrees(a), 6) for a in astuple(found)],
-    }
-
-
-def _watch(watch: Watch) -> Mapping[str, Any]:
-    return {
-        "stale": watch.is_stale,
-        "summary": watch.summary,
-        "findings": {f.key: round(f.value or 0.0, 2) for f in watch.findings},
     }
 
 

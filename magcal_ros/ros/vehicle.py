@@ -286,7 +286,11 @@ class Motors:
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
         """Learn from a sample; returns it without the field of the motors known to a compass."""
         if compass is not self._compass:
-            self._use(compass)
+            before = None if self._compass is None else self._compass.motors
+            self._compass, self._learning, self._has_learnt = compass, None, False
+            if compass is not None and compass.motors is not None and before is not None:
+                # The inputs that were learnt before are kept.
+                compass.use_motors(compass.motors.combined_with(before))
         if compass is None:
             return sample
         learns = self._learns and self._up.is_propagated
@@ -323,13 +327,6 @@ class Motors:
             return None
         self._waited = 0
         return motors
-
-    def _use(self, compass: Compass | None) -> None:
-        """Take another calibration, and keep the inputs of the motors."""
-        before = None if self._compass is None else self._compass.motors
-        self._compass, self._learning, self._has_learnt = compass, None, False
-        if compass is not None and compass.motors is not None and before is not None:
-            compass.use_motors(compass.motors.combined_with(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
         """Return the part of `~/status` on the motors; None if their field is unknown."""
