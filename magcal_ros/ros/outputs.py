@@ -107,11 +107,10 @@ class AttitudeOutput:
     ) -> None:
         """Publish a heading; it refers to true north if a reference field is given."""
         if self.is_wanted:
-            declination, sigma = None, 0.0
-            if reference is not None:
-                declination, sigma = reference.declination, reference.declination_sigma
-            covariance = heading.covariance(0.0 if declination is None else sigma**2)
-            numbers = heading.quaternion(declination or 0.0) + covariance
+            declination, variance = 0.0, 0.0
+            if reference is not None and reference.declination is not None:
+                declination, variance = reference.declination, reference.declination_sigma**2
+            numbers = heading.quaternion(declination) + heading.covariance(variance)
             self._out.publish(self._attitude.fill(stamp, frame, numbers))
         if self._azimuth_out is not None and _is_wanted(self._azimuth_out):
             message = wire.azimuth_message(self._azimuth, stamp, frame, heading, reference)

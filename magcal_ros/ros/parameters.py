@@ -198,7 +198,9 @@ class Parameters:
         except (ValueError, FileError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         if not self._effects_come_later:
-            self._put_in_effect_afterwards(changes)
+            # On Humble the values are read again, after this call has stored them.
+            assert self._node.executor is not None
+            self._node.executor.create_task(self._read_again)
         return SetParametersResult(successful=True)
 
     def _require_changeable(self, spec: ParameterSpec, value: Value) -> None:
@@ -237,18 +239,8 @@ class Parameters:
         self._values |= self._parsed(changes)
         self.settings = Settings.of(self._values)
 
-    def _put_in_effect_afterwards(self, changes: list[Parameter]) -> None:
-        """Read the values after the call, because Humble has no callback for that."""
-
-        def look() -> None:
-            names = [change.name for change in changes if self._node.has_parameter(change.name)]
-            self._put_in_effect(self._node.get_parameters(names))
-
-        executor = self._node.executor
-        if executor is None:
-            self._put_in_effect(changes)
-        else:
-            executor.create_task(look)
+    def _read_again(self) -> None:
+        self._put_in_effect(self._node.get_parameters(list(self._specs)))
 
     def _parsed(self, changes: list[Parameter]) -> dict[str, Any]:
         """Return the new values of the table's parameters."""
