@@ -255,8 +255,8 @@ class KnownHeadings:
             return
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
-        stamps = [pair.field.stamp for pair in self._pairs]
-        if stamps and stamps[-1] - stamps[0] >= SESSION.rest:
+        pairs = self._pairs
+        if pairs and pairs[-1].field.stamp - pairs[0].field.stamp >= SESSION.rest:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:
