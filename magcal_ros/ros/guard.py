@@ -260,16 +260,9 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)
     topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    # A name that begins with an underscore is hidden in lists of nodes.
-    node = rclpy.create_node(
-        f"_magcal_guard_{os.getpid()}",
-        enable_rosout=False,
-        start_parameter_services=False,
-        parameter_overrides=[Parameter("start_type_description_service", value=False)],
-    )
     # Bases that check the stamp take zero as now; their clock may differ from this one.
     zero = velocity(0.0, stamped, frame)
-    out = node.create_publisher(type(zero), topic, QoSProfile(depth=1))
+    out = _publisher(type(zero), topic)
     # A blocked log of the node must not block the guard.
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
@@ -291,6 +284,21 @@ def main() -> int:
         time.sleep(ZEROS_EVERY)
         out.publish(zero)
     return 1
+
+
+def _publisher(kind: type, topic: str) -> Publisher:
+    """Return the publisher of a new node.
+
+    The node is not kept, so that its publisher of parameter events is closed.
+    """
+    # A name that begins with an underscore is hidden in lists of nodes.
+    node = rclpy.create_node(
+        f"_magcal_guard_{os.getpid()}",
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
+    return node.create_publisher(kind, topic, QoSProfile(depth=1))
 
 
 def _say(words: bytes) -> None:

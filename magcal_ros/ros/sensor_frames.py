@@ -71,15 +71,15 @@ class DescriptionListener:
         if self._is_listening:
             return
         self._is_listening = True
-        read = partial(self._take, String, "robot_description", lambda found: joints_of(found.data))
+        read = partial(self._take, "robot_description", String, lambda found: joints_of(found.data))
         self._node.create_subscription(String, "robot_description", read, LATCHED, raw=True)
         kind, topic = optional_type("tf2_msgs", "TFMessage"), "/tf_static"
         if kind is not None:
-            read = partial(self._take, kind, topic, lambda found: joints_from(found.transforms))
+            read = partial(self._take, topic, kind, lambda found: joints_from(found.transforms))
             self._node.create_subscription(kind, topic, read, STATIC_TRANSFORMS, raw=True)
 
     def _take(
-        self, kind: type, topic: str, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
+        self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
             self._complain(f"{topic} has messages above {LARGEST} bytes and is not read")
