@@ -199,8 +199,11 @@ class Parameters:
             return SetParametersResult(successful=False, reason=str(error))
         if not self._effects_come_later:
             # On Humble the values are read again, after this call has stored them.
-            assert self._node.executor is not None
-            self._node.executor.create_task(self._read_again)
+            executor = self._node.executor
+            if executor is None:
+                self._put_in_effect(changes)
+            else:
+                executor.create_task(self._read_again)
         return SetParametersResult(successful=True)
 
     def _require_changeable(self, spec: ParameterSpec, value: Value) -> None:
