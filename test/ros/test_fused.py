@@ -1,12 +1,13 @@
 """The fused yaw of the running node: smooth, at the IMU's rate, not disturbed by passing iron."""
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Imu
-from support import PATIENCE, REFERENCE
+from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.samples import FieldSample
@@ -64,6 +65,27 @@ def test_the_fused_yaw_follows_the_robot_and_ignores_passing_iron(fused):
     assert diagnostic(reports).level == DiagnosticStatus.WARN
     assert "ignored" in diagnostic(reports).message
     assert "strength" in diagnostic(reports).message
+
+
+def test_a_late_field_is_turned_to_its_stamp(graph, tmp_path):
+    path = store_calibration(tmp_path / "late.yaml", latency=0.3)
+    actor = graph.loaded(path, tmp_path)
+    received, waiting = [], deque()
+    actor.node.create_subscription(Imu, "compass/mag/enu/imu", received.append, 100)
+
+    def delay(sample):
+        if not isinstance(sample, FieldSample):
+            return [sample]
+        waiting.append(sample)
+        while waiting[0].stamp < sample.stamp - 0.3:
+            waiting.popleft()
+        return [sample._replace(field=waiting[0].field)]
+
+    actor.mangle = delay
+    actor.run(PATIENCE, stop=lambda: received)
+    actor.run(2.0, yaw_rate=0.8)
+    error = float(wrap_angle(yaw_of(received[-1]) - actor.ride.magnetic_yaw))
+    assert abs(math.degrees(error)) < 4.0, "without the correction it is 14"
 
 
 def test_without_a_gyro_nothing_is_published_and_this_is_reported(loaded):
