@@ -149,7 +149,7 @@ class UpFollower:
         self._last: ImuSample | None = None
         self.turned = 0.0
         """Turn about up by the gyro, radians, without rests and what the bias may explain."""
-        self._turns = ZERO
+        self._turns = self._field = ZERO
         self._ups: deque[_UpRecord] = deque(maxlen=STREAMS.remembered)
 
     @property
@@ -210,9 +210,12 @@ class UpFollower:
         """Add a raw field sample, whose rotation separates a slow turn from a gyro bias.
 
         The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
-        not.
+        not. Once the bias is known, a repeated value is no sample: it is more likely that the
+        magnetometer is frozen or coarse than that the bias has jumped.
         """
-        self._propagation.field.add(stamp, field)
+        if field != self._field or self.gyro_at_rest is None:
+            self._propagation.field.add(stamp, field)
+        self._field = field
 
     def add(self, sample: ImuSample, measured: LinearAcceleration | None = None) -> None:
         """Add an IMU sample; after a gap the estimate starts again.

@@ -48,12 +48,7 @@ class FieldStillness:
         self._first, self._first_count, self._since = ZERO, 0, math.inf
 
     def add(self, stamp: float, field: Triple) -> None:
-        """Add a raw field sample (any unit) at a stamp in seconds.
-
-        A repeated value does not show that the robot is still: the magnetometer may be frozen.
-        """
-        if field == self._last:
-            return
+        """Add a raw field sample (any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
         if not 0.0 < seconds < STREAMS.longest_field_gap:

@@ -157,3 +157,15 @@ def test_the_turn_is_counted_without_rests_and_bias(sense):
     course.go(4.0, yaw_rate=sense * 0.5)
     course.go(60.0)
     assert scene.fusing.follower.turned - before == pytest.approx(sense * 2.0, abs=0.1)
+
+
+def test_a_field_without_noise_shows_a_large_bias_at_rest():
+    """Simulators publish such a field; its repeated values are no sign of a frozen sensor."""
+    scene = Repeating()
+    robot = replace(ROBOT, noise_field=0.0, gyro_bias=np.array([0.03, -0.03, 0.09]))
+    course = Course(scene, robot, seed=3)
+    course.go(10.0)
+    course.go(4.0, yaw_rate=0.5)
+    course.go(20.0)
+    assert scene.fused_ratios.max() < 2.0
+    assert np.abs(scene.fusing.errors_deg()[-100:]).max() < 1.0
