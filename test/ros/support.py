@@ -89,16 +89,16 @@ def calibrated():
     return calibrate(window, ROBOT.knowledge()).calibration
 
 
-def store_calibration(path, frame="mag_link", iron=0.0, **figures):
-    """Store a calibration of the robot with some figures; its hard iron is wrong by `iron`, tesla.
+def store_calibration(path, subtracted=0.0, frame="mag_link", iron=0.0, **figures):
+    """Store a calibration of the robot; `subtracted` is the tilt by a steady acceleration, rad.
 
-    The tilt by a steady acceleration, `steady_pull` in radians, is zero unless given.
+    Its hard iron is wrong by `iron`, tesla; `figures` are further ones of its evidence.
     """
     calibration = calibrated()
     correction = calibration.correction
     correction = replace(correction, hard_iron=correction.hard_iron + iron)
     calibration = replace(calibration, correction=correction)
-    figures = {**calibration.evidence.figures, "steady_pull": 0.0, **figures}
+    figures = {**calibration.evidence.figures, "steady_pull": subtracted, **figures}
     evidence = replace(calibration.evidence, figures=figures)
     calibration = replace(calibration, evidence=evidence)
     write_calibration(path, calibration, Origin.now(frame, "imu_link"))

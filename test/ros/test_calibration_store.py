@@ -178,7 +178,7 @@ def test_a_file_that_has_changed_is_read_again(met, ros_home):
     store, *_ = met
     path = ros_home / "magcal" / "calibrator.left.yaml"
     store.read("", "left")
-    store_calibration(path, steady_pull=0.25, frame="left")
+    store_calibration(path, subtracted=0.25, frame="left")
     assert store.read("", "left").calibration.evidence.figures["steady_pull"] == 0.25
 
 

@@ -242,8 +242,7 @@ class CompassReading(NamedTuple):
     """A field sample, corrected by a calibration."""
 
     stamp: float  # of the field message, seconds
-    measured: Triple  # the corrected field in the body axes of its measurement, tesla
-    field: Triple  # the same in those of the stamp: the measurement is earlier by a latency
+    field: Triple  # corrected, in the body axes of the stamp, tesla
     up: Up | None  # of the same moment; None if no IMU sample is near enough
     heading: Heading | None  # None if field or up have no direction
     rate: Triple | None  # without the gyro's bias, rad/s, body axes; None without a usable gyro
@@ -251,6 +250,8 @@ class CompassReading(NamedTuple):
     """Angle by which the robot has turned since this value of the field first came, radians. A
     magnetometer that is frozen, coarse or read too often repeats an old value: the error of the
     yaw may be as large."""
+    measured: Triple = (math.nan, math.nan, math.nan)
+    """The same field in the body axes of its measurement, which is earlier by a latency."""
 
     @classmethod
     def of(
@@ -275,7 +276,7 @@ class CompassReading(NamedTuple):
         field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
-        reading = cls(stamp, measured, field, up, heading, rate, turned_unchanged)
+        reading = cls(stamp, field, up, heading, rate, turned_unchanged, measured)
         if heading is not None and turned_unchanged:
             variance = heading.yaw_variance + reading.unchanged_variance
             reading = reading._replace(heading=heading._replace(yaw_variance=variance))
