@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.samples_tuning import STREAMS
 
@@ -33,6 +34,13 @@ class Bounds:
 
 
 BOUNDS = Bounds()
+
+LARGEST_FIGURES = {
+    Figure.LATENCY: 10.0,
+    Figure.GYRO_SCALE: 0.5,
+    Figure.LOCAL_FIELD: STREAMS.largest_field,
+}
+"""Limits of the figures that the heading depends on: seconds, a ratio, and tesla."""
 
 
 def require_possible(calibration: Calibration) -> None:
@@ -71,12 +79,13 @@ def require_possible(calibration: Calibration) -> None:
 def _require_sizes(calibration: Calibration, least_gain: float) -> None:
     # With a larger hard iron, the node would have dropped every sample as too large.
     largest_iron = STREAMS.largest_field + calibration.strength / least_gain
-    iron = calibration.correction.hard_iron
+    iron, figure = calibration.correction.hard_iron, calibration.evidence.figure
     for name, size, limit in (
         ("hard_iron", np.abs(iron).max(), largest_iron),
         ("covariance", np.abs(calibration.covariance).max(), BOUNDS.largest_variance),
         ("noise_field", calibration.noise_field, STREAMS.largest_field),
         ("noise_up", calibration.noise_up, math.pi),
+        *((name.value, abs(figure(name, 0.0)), most) for name, most in LARGEST_FIGURES.items()),
     ):
         if not size <= limit:
             raise ValueError(f"{name} reads up to {size:.0e}, which no magnetometer needs")

@@ -94,6 +94,14 @@ def test_a_field_that_is_not_on_earth_is_refused(found, entry, value, words):
         require_possible(replace(found, **{entry: value}))
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -80.0])
+@pytest.mark.parametrize("name", ["latency", "gyro_scale", "local_field"])
+def test_a_figure_that_would_spoil_the_heading_is_refused(found, name, value):
+    evidence = replace(found.evidence, figures={**found.evidence.figures, name: value})
+    with pytest.raises(ValueError, match=name):
+        require_possible(replace(found, evidence=evidence))
+
+
 @pytest.mark.parametrize("strength", [2.1e-6, 190e-6])
 def test_every_strength_that_a_verdict_accepts_can_be_stored(strength):
     robot = replace(ROBOT, strength=strength, noise_field=1e-8, hard_iron=np.zeros(3))
