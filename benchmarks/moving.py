@@ -22,8 +22,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.geometry.vec3 import propagated
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
@@ -31,7 +30,7 @@ from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import SampleCollector, fit_collected
 from magcal_ros.core.simulation import DEGREE, Ride, Robot
-from magcal_ros.core.up.follower import Up, UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 SEEDS = 5
@@ -90,22 +89,16 @@ class Walk:
         if not self._streams.add_field(sample):
             return
         self._follower.add_field(sample.stamp, sample.field)
-        up = self._up(sample.stamp)
-        if up is None:
-            return
-        late = self._follower.turn_between(sample.stamp - self._compass.latency, sample.stamp)
-        field = propagated(self._compass.correct(sample.field), late)
-        heading = self._compass.heading(field, up.direction, up.variance)
+        reading = CompassReading.of(self._compass, sample, self._follower, STREAMS.max_gap)
+        field, up, heading = reading.field, reading.up, reading.heading
+        if self.way == "accelerometer":
+            imu = self._streams.imu_at(sample.stamp)
+            variance = self._noise_up**2
+            heading = imu and self._compass.heading(field, imu.force, variance)
         if heading is not None:
             self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
-            if self.way == "propagated":
+            if self.way == "propagated" and up is not None:
                 self._fusion.correct(sample.stamp, field, up, heading)
-
-    def _up(self, stamp: float) -> Up | None:
-        if self.way != "accelerometer":
-            return self._follower.at(stamp, STREAMS.max_gap)
-        imu = self._streams.imu_at(stamp)
-        return None if imu is None else Up(imu.force, self._noise_up**2)
 
 
 def starts_and_stops(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:

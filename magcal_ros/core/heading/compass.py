@@ -246,10 +246,8 @@ class CompassReading(NamedTuple):
     up: Up | None  # of the same moment; None if no IMU sample is near enough
     heading: Heading | None  # None if field or up have no direction
     rate: Triple | None  # without the gyro's bias, rad/s, body axes; None without a usable gyro
-    turned_unchanged: float = 0.0
-    """Angle by which the robot has turned since this value of the field first came, radians. A
-    magnetometer that is frozen, coarse or read too often repeats an old value: the error of the
-    yaw may be as large."""
+    old_value_variance: float = 0.0
+    """Part of the yaw's variance because the value of the field may be an old one, rad²."""
     measured: Triple = (math.nan, math.nan, math.nan)
     """The same field in the body axes of its measurement, which is earlier by a latency."""
 
@@ -266,7 +264,9 @@ class CompassReading(NamedTuple):
         """Return a field sample, corrected by a compass, and up by a follower.
 
         `max_gap` is as for `UpFollower.at`. Unless `motor_state` is given, the motors are assumed
-        to be off.
+        to be off. `turned_unchanged` is the angle by which the robot has turned since this value of
+        the field first came, radians. A magnetometer that is frozen, coarse or read too often
+        repeats an old value, so the error of the yaw may be as large.
         """
         stamp, up = sample.stamp, follower.at(sample.stamp, max_gap)
         rate = follower.rate if follower.is_propagated else None
@@ -276,13 +276,7 @@ class CompassReading(NamedTuple):
         field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
-        reading = cls(stamp, field, up, heading, rate, turned_unchanged, measured)
-        if heading is not None and turned_unchanged:
-            variance = heading.yaw_variance + reading.unchanged_variance
-            reading = reading._replace(heading=heading._replace(yaw_variance=variance))
-        return reading
-
-    @property
-    def unchanged_variance(self) -> float:
-        """Variance of the yaw because the value may be an old one, rad²."""
-        return min(self.turned_unchanged**2, UNKNOWN_YAW)
+        old = min(turned_unchanged**2, UNKNOWN_YAW)
+        if heading is not None and old:
+            heading = heading._replace(yaw_variance=heading.yaw_variance + old)
+        return cls(stamp, field, up, heading, rate, old, measured)

@@ -112,9 +112,9 @@ class _CompassState:
         return self.reading.heading
 
     @property
-    def unchanged_variance(self) -> float:
+    def old_value_variance(self) -> float:
         """Variance of the yaw because its last value may be an old one, rad²."""
-        return 0.0 if self.reading is None else self.reading.unchanged_variance
+        return 0.0 if self.reading is None else self.reading.old_value_variance
 
     @property
     def own_variance(self) -> float:
@@ -269,7 +269,7 @@ class SeveralCompasses:
         member.extra_variance = member.deviation.add(
             self._stamp, reading.field, *reading.up, turned=turned
         )
-        variance = member.own_variance + member.extra_variance + member.unchanged_variance
+        variance = member.own_variance + member.extra_variance + member.old_value_variance
         return CompassYaw(number, seen, own, variance)
 
     def _silence(self, member: _CompassState) -> str:
@@ -341,7 +341,7 @@ class SeveralCompasses:
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
             bent += share**2 * member.extra_variance * (len(kept) > 1)
-            old += share**2 * member.unchanged_variance
+            old += share**2 * member.old_value_variance
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return reading._replace(
             heading=heading._replace(

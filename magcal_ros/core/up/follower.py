@@ -210,7 +210,7 @@ class UpFollower:
         """Add a raw field sample, whose rotation separates a slow turn from a gyro bias.
 
         The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
-        not. Once the bias is known, a repeated value is no sample: it is more likely that the
+        not. Once the bias is known, a repeated value is left out: it is more likely that the
         magnetometer is frozen or coarse than that the bias has jumped.
         """
         if field != self._field or self.gyro_at_rest is None:
