@@ -113,10 +113,19 @@ def calibrate(
     if progress is not None and method in ONE_SMOOTHER:
         fit = partial(cast("Callable[..., Estimate]", fit), progress=progress)
     try:
-        estimate = fit(window, knowledge)
+        estimate = _in_level_axes(fit, window, knowledge)
     except Refusal as refusal:
         return Outcome.refused(refusal_by_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
+
+
+def _in_level_axes(fit: Fit, window: Window, knowledge: Knowledge) -> Estimate:
+    """Return the estimate of a fit that is made in level axes, in the IMU's axes.
+
+    What is known of sensors and motion refers to the vertical: an IMU may be mounted on its side.
+    """
+    turn = knowledge.mounting.to_level
+    return fit(window.in_axes(turn), knowledge.leveled).in_axes(turn.T)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
@@ -160,7 +169,7 @@ def calibrate_drive(log: Window, knowledge: Knowledge) -> Outcome:
     if wrong is not None:
         return Outcome.refused(wrong, log)
     try:
-        estimate = fit_log(log, knowledge)
+        estimate = _in_level_axes(fit_log, log, knowledge)
     except Refusal as refusal:
         return Outcome.refused(refusal, log)
     return _judged_by_axes_too(estimate, knowledge, log)
@@ -211,16 +220,18 @@ def calibrate_turns(
     turns, joint, multi_turn = join(windows, called, knowledge)
     members = [turn for turn in turns if not turn.refusal_words]
     turn = (members or turns)[-1]
+    window, from_level = windows[turns.index(turn)], knowledge.mounting.to_level.T
     if joint is not None:
-        outcome = judged(joint, knowledge, turn.window)
+        outcome = judged(joint.in_axes(from_level), knowledge, window)
     elif turn.refusal_words and len(turns) > 1:
         each = "; ".join(f"{turn.name}: {turn.refusal_words}" for turn in turns)
         words = f"none of the turns can be used: {each}"
-        outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
+        outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), window)
     elif turn.estimate is not None and turn.reason is None:
-        outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
+        estimate = turn.estimate.in_axes(from_level)
+        outcome = _judged_by_axes_too(estimate, knowledge, window)
     else:
-        outcome = calibrate(turn.window, knowledge)
+        outcome = calibrate(window, knowledge)
     return replace(outcome, multi_turn=multi_turn)
 
 
@@ -284,6 +295,7 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -
 
     It is infinite without a fit.
     """
+    window, knowledge = window.in_axes(knowledge.mounting.to_level), knowledge.leveled
     try:
         if method in ONE_SMOOTHER and working_axes(window.angular_rate)[2]:
             from magcal_ros.core.methods.checks import check_window

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
-from magcal_ros.core.geometry.attitude import angle_between
+from magcal_ros.core.geometry.attitude import angle_between, unit
+from magcal_ros.core.geometry.rotations import minimal_rotation
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
@@ -20,7 +21,14 @@ STREET_LENGTH = 30.0
 
 CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
+Z: FloatArray = np.array([0.0, 0.0, 1.0])
+
 UNKNOWN_YAW = math.pi**2 / 3.0  # variance of an unknown yaw, rad²
+
+
+def level_rotation(upward: FloatArray) -> FloatArray:
+    """Return the smallest rotation of axes, (3, 3), that turns the vehicle's top (3,) to z."""
+    return minimal_rotation(unit(upward), Z)
 
 
 @dataclass(frozen=True)
@@ -137,7 +145,7 @@ class Mounting:
     pitch; only turns at different tilts determine the yaw."""
     forward: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
     """Unit vector along the front of the vehicle in the IMU's axes. Shape (3,)."""
-    upward: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    upward: FloatArray = field(default_factory=lambda: Z)
     """Unit vector to the top of the vehicle in the IMU's axes. Shape (3,)."""
 
     def __post_init__(self) -> None:
@@ -162,12 +170,17 @@ class Mounting:
         """From sensor to nominal body axes, gains removed; the inverse of `matrix`, (3, 3)."""
         return np.asarray(self.pose / self.gains)
 
+    @property
+    def to_level(self) -> FloatArray:
+        """Rotation from the IMU's axes to level ones, whose z points to the top, (3, 3)."""
+        return level_rotation(self.upward)
+
     def lean(self, up: FloatArray) -> float:
         """Return the angle of up (3,) to the body's z or the vehicle's top, the smaller, radians.
 
         A wrong description of the top does no harm where the IMU's z points up.
         """
-        return min(angle_between(up, each) for each in (np.array([0.0, 0.0, 1.0]), self.upward))
+        return min(angle_between(up, each) for each in (Z, self.upward))
 
 
 @dataclass(frozen=True)
@@ -184,6 +197,13 @@ class Knowledge:
     exact_sensors: bool = False
     """Whether the sensors have no errors except those above and white noise, as in a simulation.
     Real sensors have others, which the smoother estimates."""
+
+    @property
+    def leveled(self) -> Knowledge:
+        """The same knowledge for body axes that are level (`Mounting.to_level`)."""
+        old, turn = self.mounting, self.mounting.to_level
+        pose, forward = turn @ old.pose, turn @ old.forward
+        return replace(self, mounting=replace(old, pose=pose, forward=forward, upward=Z))
 
 
 def knowledge_of(

@@ -220,6 +220,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
         **{f"magnetometer_bias_{axis}": iron for axis, iron in zip("xyz", hard_iron, strict=True)},
         "hard_iron": hard_iron,
         "correction_matrix": calibration.correction.matrix.tolist(),
+        "upward": calibration.upward.tolist(),
         "covariance": calibration.covariance.tolist(),
         "noise_field": float(calibration.noise_field),
         "noise_up": float(calibration.noise_up),
@@ -270,6 +271,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         _finite(reference["inclination"], "inclination"),
         _evidence(document),
         _motors(document),
+        _numbers(document.get("upward", [0.0, 0.0, 1.0])),
     )
 
 

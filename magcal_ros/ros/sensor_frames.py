@@ -31,7 +31,7 @@ from magcal_ros.core.geometry.rotations import (
     rotation_from_rpy,
 )
 from magcal_ros.core.heading.base_heading import BaseHeading, VehicleYaw, corrected_pose
-from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.knowledge import Mounting, Z
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.robot_description import LARGEST, joints_of
@@ -159,7 +159,9 @@ class SensorFrames:
         front = vehicle[0]
         if not settings.base_frame and settings.vehicle_yaw is not None:
             front = rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
-        return replace(known, pose=pose, forward=front, upward=vehicle[2])
+        # Gravity is more reliable than a description.
+        upward = Z if self._contradiction else vehicle[2]
+        return replace(known, pose=pose, forward=front, upward=upward)
 
     def doubt(self, number: int, frame: str, calibration: Calibration) -> str:
         """Return in words that a calibration contradicts the pose of its magnetometer.

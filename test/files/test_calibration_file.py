@@ -514,6 +514,28 @@ def test_a_large_file_of_another_program_is_not_parsed(tmp_path, monkeypatch):
         read_calibration(path)
 
 
+class TestUpward:
+    """The direction of the vehicle's top is stored, for an IMU that does not lie flat."""
+
+    def test_it_is_recovered_exactly(self, tmp_path):
+        path, upward = tmp_path / "side.yaml", np.array([0.6, 0.0, -0.8])
+        write_calibration(path, replace(example(), upward=upward), ORIGIN)
+        assert read_calibration(path)[0].upward.tolist() == upward.tolist()
+
+    @pytest.mark.parametrize(
+        ("entry", "upward"),
+        [("", [0.0, 0.0, 1.0]), ("upward: [0, 0, 2]", None), ("upward: [.nan, 0, 1]", None)],
+    )
+    def test_it_is_z_in_older_files_and_a_unit_vector(self, written, entry, upward):
+        (line,) = re.findall("^upward: .*$", text := written.read_text(), re.MULTILINE)
+        written.write_text(text.replace(line, entry))
+        if upward is None:
+            with pytest.raises(FileError):
+                read_calibration(written)
+        else:
+            assert read_calibration(written)[0].upward.tolist() == upward
+
+
 class TestVehicleYaw:
     """The yaw of the IMU in the vehicle is stored separately, not in the matrix."""
 

@@ -90,6 +90,7 @@ def test_a_given_yaw_has_priority_and_a_wrong_description_is_reported(start_node
     robot = actor()
     describe(robot, "0.5 0 0", "3.141592653589793 0 0")
     assert re.search(r"'base_link' would be tilted by 1(79|80)°", complaints(robot, "tilted by"))
+    assert node._frames.mounting().upward.tolist() == [0.0, 0.0, 1.0]
     robot.calibrate()
     assert "away from this" in complaints(robot, "away from this")
     node.set_parameters([Parameter("mount_rpy_deg", value=[0.0, 0.0, 0.0])])
@@ -123,9 +124,10 @@ def test_half_a_pose_is_refused(start_node, text):
 def test_the_fit_uses_the_described_top_of_the_vehicle(start_node, actor):
     node = start_node(DESCRIBED)
     robot = actor()
-    describe(robot, "0 0 0", ORIGIN)
-    robot.run(PATIENCE, stop=lambda: node._frames.mounting().upward[2] < 0.0)
-    assert node._frames.mounting().upward == pytest.approx([0.0, 0.0, -1.0], abs=1e-9)
+    describe(robot, "0 0 0", "0.1 0 0")
+    robot.run(PATIENCE, stop=lambda: node._frames.mounting().upward[1] > 0.0)
+    expected = [0.0, math.sin(0.1), math.cos(0.1)]
+    assert node._frames.mounting().upward == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("base", ["", "base_link"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,13 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction, Motor
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
-from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.geometry.rotations import (
+    IDENTITY,
+    rotation_angle,
+    rotation_from_rpy,
+    rpy_from_rotation,
+)
+from magcal_ros.core.knowledge import ReferenceField, Z, level_rotation
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,10 @@ class Installation:
     def pose(self) -> FloatArray:
         """Sensor axes to body axes, shape (3, 3)."""
         return rotation_from_rpy(self.roll, self.pitch, self.yaw)
+
+    def in_axes(self, rotation: FloatArray) -> Installation:
+        """Return the same installation for rotated axes of the IMU's frame."""
+        return Installation(*rpy_from_rotation(rotation @ self.pose @ rotation.T))
 
     @property
     def angle(self) -> float:
@@ -56,6 +65,10 @@ class FittedGyroBias(NamedTuple):
 
     rate: FloatArray  # rad/s, body axes. Shape (3,).
     covariance: FloatArray  # (rad/s)². Shape (3, 3).
+
+    def in_axes(self, rotation: FloatArray) -> FittedGyroBias:
+        """Return the same bias in rotated body axes."""
+        return FittedGyroBias(rotation @ self.rate, rotation @ self.covariance @ rotation.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +99,27 @@ class Estimate:
     motors: MotorField | None = None  # the field of the running motors, if the method finds it
     gyro: FittedGyroBias | None = None
     """The gyro's error; None without a whole gyro, or if a bias from a rest was subtracted."""
+    upward: FloatArray = field(default_factory=lambda: Z)  # `Mounting.upward`
 
     def __post_init__(self) -> None:
-        freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))
+        freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,), upward=(3,))
+
+    def in_axes(self, rotation: FloatArray) -> Estimate:
+        """Return the same estimate in rotated body axes."""
+        if np.array_equal(rotation, IDENTITY):
+            return self
+        return replace(
+            self,
+            **_numbers_in_axes(self, rotation),
+            installation=None if self.installation is None else self.installation.in_axes(rotation),
+            axis=rotation @ self.axis,
+            gyro=None if self.gyro is None else self.gyro.in_axes(rotation),
+        )
+
+    @property
+    def level(self) -> Estimate:
+        """The same estimate in level axes (`Mounting.to_level`)."""
+        return self.in_axes(level_rotation(self.upward))
 
     @property
     def circle_radius(self) -> float:
@@ -167,11 +198,14 @@ class Calibration:
     evidence: Evidence
     motors: MotorField | None = None
     """The field of the running motors; None if it was not observed."""
+    upward: FloatArray = field(default_factory=lambda: Z)  # `Mounting.upward`
 
     def __post_init__(self) -> None:
-        freeze(self, covariance=(PARAMETERS, PARAMETERS))
+        freeze(self, covariance=(PARAMETERS, PARAMETERS), upward=(3,))
         if (np.diag(self.covariance) < 0.0).any():
             raise ValueError("covariance has a negative variance")
+        if not abs(float(np.linalg.norm(self.upward)) - 1.0) < 1e-3:
+            raise ValueError("the top of a vehicle is a unit vector")
 
     @classmethod
     def from_estimate(cls, estimate: Estimate, evidence: Evidence) -> Calibration:
@@ -185,8 +219,32 @@ class Calibration:
             estimate.inclination,
             evidence,
             estimate.motors,
+            estimate.upward,
         )
+
+    def in_axes(self, rotation: FloatArray) -> Calibration:
+        """Return the same calibration in rotated body axes."""
+        if np.array_equal(rotation, IDENTITY):
+            return self
+        return replace(self, **_numbers_in_axes(self, rotation))
+
+    @property
+    def level(self) -> Calibration:
+        """The same calibration in level axes (`Mounting.to_level`)."""
+        return self.in_axes(level_rotation(self.upward))
 
     def accepted_by_person(self) -> Calibration:
         """Return the same calibration, marked as accepted by the user."""
         return replace(self, evidence=replace(self.evidence, accepted_by_user=True))
+
+
+def _numbers_in_axes(found: Estimate | Calibration, rotation: FloatArray) -> dict[str, Any]:
+    """Return the fields of an estimate or a calibration that have other values in rotated axes."""
+    change = np.eye(PARAMETERS)
+    change[:9, :9] = np.kron(rotation, np.eye(3))
+    return {
+        "correction": found.correction.in_axes(rotation),
+        "covariance": change @ found.covariance @ change.T,
+        "motors": None if found.motors is None else found.motors.with_numbers_changed(change),
+        "upward": rotation @ found.upward,
+    }

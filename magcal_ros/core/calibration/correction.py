@@ -67,6 +67,10 @@ class Correction:
         """Return the covariance (3, 3) of a raw field sample in body axes, `A S A^T`."""
         return np.asarray(self.matrix @ sigma @ self.matrix.T)
 
+    def in_axes(self, rotation: FloatArray) -> Correction:
+        """Return the same correction to body axes that are rotated by `rotation` (3, 3)."""
+        return Correction(rotation @ self.matrix, self.hard_iron)
+
     def after(self, first: Correction) -> Correction:
         """Return the correction equal to applying `first` and then this one."""
         matrix = self.matrix @ first.matrix
@@ -193,6 +197,10 @@ class MotorField:
     def size(self, which: int) -> float:
         """Return the field at the usual size of an input, tesla."""
         return float(np.linalg.norm(self.gain[which])) * self.usual[which]
+
+    def with_numbers_changed(self, change: FloatArray) -> MotorField:
+        """Return the same field; `change` (12, 12) is the derivative of other twelve numbers."""
+        return replace(self, cross_covariance=change @ self.cross_covariance)
 
     def with_another_calibration(self) -> MotorField:
         """Return the same field, uncorrelated with the twelve numbers."""

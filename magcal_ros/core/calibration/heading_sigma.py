@@ -57,9 +57,9 @@ def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0)
 
 def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
     """Return the yaw's sigma by the covariance of the twelve numbers alone, radians."""
-    reference = field_in_enu(estimate.strength, estimate.inclination)
-    jacobian = heading_jacobian(estimate.correction, reference, tilt)
-    return rms_sigma(jacobian, estimate.covariance)
+    level = estimate.level
+    reference = field_in_enu(level.strength, level.inclination)
+    return rms_sigma(heading_jacobian(level.correction, reference, tilt), level.covariance)
 
 
 def known_sigma(calibration: Calibration) -> float:
@@ -78,8 +78,9 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
         size = estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
     if size == 0.0:
         return 0.0
-    reference = field_in_enu(estimate.strength, estimate.inclination)
-    by_field = heading_jacobian(estimate.correction, reference, tilt)[:, PARAMETERS - 3 :]
+    level = estimate.level
+    reference = field_in_enu(level.strength, level.inclination)
+    by_field = heading_jacobian(level.correction, reference, tilt)[:, PARAMETERS - 3 :]
     return size * math.sqrt(float(np.mean(np.sum(by_field**2, axis=1))))
 
 
@@ -89,10 +90,11 @@ def arc_sigma(estimate: Estimate) -> float:
     It is the largest over all starts: a partial turn determines the circle's centre least along the
     middle of the arc, and an error in this direction changes the arc.
     """
-    reference = field_in_enu(estimate.strength, estimate.inclination)
-    jacobian = heading_jacobian(estimate.correction, reference, 0.0)
+    level = estimate.level
+    reference = field_in_enu(level.strength, level.inclination)
+    jacobian = heading_jacobian(level.correction, reference, 0.0)
     apart = np.roll(jacobian, -round(estimate.arc / math.tau * HEADINGS), axis=0) - jacobian
-    variance = np.einsum("ki,ij,kj->k", apart, estimate.covariance, apart)
+    variance = np.einsum("ki,ij,kj->k", apart, level.covariance, apart)
     return math.sqrt(max(float(variance.max()), 0.0))
 
 

@@ -59,7 +59,7 @@ def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool)
     """
     # The field is already in body axes.
     nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
-    knowledge = replace(knowledge, mounting=nominal)
+    knowledge, from_level = replace(knowledge, mounting=nominal).leveled, nominal.to_level.T
     lag = float(hypothesis.state[LAG])
     is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
     found: list[tuple[float, Smoothed]] = []
@@ -68,18 +68,20 @@ def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool)
         if window is None:
             continue
         with suppress(Refusal):
-            found.append((each, smooth(window, knowledge)))
+            found.append((each, smooth(window.in_axes(from_level.T), knowledge)))
     if not found:
         return None
     lag, best = max(found, key=lambda one: _log_odds(one[1]))
     late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
     biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
+    motors, motors_sigma = _motors(best)
     return TurnFit(
         Belief(lag + late.value, math.hypot(late.sigma, TURN.least)),
-        np.array([each.value for each in biases]),
+        from_level @ [each.value for each in biases],
         max(each.sigma for each in biases),
         scale,
-        *_motors(best),
+        None if motors is None else from_level @ motors,
+        motors_sigma,
         _drove(best),
     )
 

@@ -65,6 +65,8 @@ def fit(
     Refusal
         If headings, field and gyro contradict each other; the text names what is likely wrong.
     """
+    to_level = knowledge.mounting.to_level
+    measurements, knowledge = [m.in_axes(to_level) for m in measurements], knowledge.leveled
     try:
         found = fit_headings(measurements, knowledge, place)
     except np.linalg.LinAlgError:
@@ -98,7 +100,7 @@ def fit(
         residual=found.residual,
         figures=figures,
         message="converged",
-    )
+    ).in_axes(to_level.T)
 
 
 def _contradiction(
@@ -226,6 +228,8 @@ def next_in_words(measurements: Sequence[KnownHeadingMeasurement], knowledge: Kn
 
     The next measurement is assumed to have the sigma and `forward` of the last one.
     """
+    to_level = knowledge.mounting.to_level
+    measurements, knowledge = [m.in_axes(to_level) for m in measurements], knowledge.leveled
     shared, last = fit_headings(measurements, knowledge).state.shared, measurements[-1]
     sigmas = {}
     for shift in (k * 0.5 * QUARTER for k in range(1, 8)):

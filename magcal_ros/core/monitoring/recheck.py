@@ -31,6 +31,7 @@ from magcal_ros.core.knowledge import (
     Belief,
     Knowledge,
     ReferenceField,
+    level_rotation,
 )
 from magcal_ros.core.methods import smoother
 from magcal_ros.core.monitoring.change import (
@@ -123,6 +124,9 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     `drive` is the log of the same recording; it is used if the speed of wheels was measured.
     Raises `Refusal` if the samples do not determine what has changed.
     """
+    turn = level_rotation(calibration.upward)
+    window, calibration = window.in_axes(turn), calibration.in_axes(turn)
+    drive = None if drive is None else drive.in_axes(turn)
     samples = window if drive is None or not drive.rolls else drive
     is_lost = window.angular_rate is not None and bool(
         np.median(np.diff(samples.time)) > STREAMS.longest_field_gap
@@ -150,7 +154,8 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     on_samples = _on_fresh_samples(calibration, window, up, arc, swing)
     state = STATES[verdict.quality]
     sentence = SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
-    return Recheck(replace(verdict, says=_summary(verdict, sentence)), on_samples, sentence)
+    says = _summary(verdict, sentence)
+    return Recheck(replace(verdict, says=says), on_samples.in_axes(turn.T), sentence)
 
 
 def _fit_of_corrected(samples: Window, calibration: Calibration) -> tuple[Smoothed, Estimate]:

@@ -24,7 +24,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, Z
 from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
 from magcal_ros.core.multi_turn.result import MultiTurnReport, TurnAccuracy, TurnAdvice, TurnResult
 from magcal_ros.core.samples.window import Window
@@ -63,7 +63,6 @@ CONTRADICTS = (
     "it contradicts {}: their hard irons differ by {:.0f} sigmas. Turn where the field is "
     "undisturbed and the same, with the same load; if the robot itself has changed, start over"
 )
-Z: FloatArray = np.array([0.0, 0.0, 1.0])
 SIDES = (
     ("east", "the nose 10° down", (0.0, CHECKED_TILT)),
     ("north", "the right side 10° up", (-CHECKED_TILT, 0.0)),
@@ -82,7 +81,7 @@ class Turn:
     """
 
     name: str
-    window: Window
+    window: Window  # in level axes (`Mounting.to_level`), as the estimate is
     estimate: Estimate | None
     smoothed: Smoothed | None
     reason: Reason | None = None
@@ -105,8 +104,8 @@ def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowle
     """Fit each turn alone, and note why it cannot join."""
     turns: list[Turn] = []
     for window, name in zip(windows, names, strict=True):
-        twin = next((t for t in turns if _is_copy(window, t.window)), None)
         turn = _single_turn(window, name, knowledge)
+        twin = next((t for t in turns if _is_copy(turn.window, t.window)), None)
         if twin is not None:
             turn = replace(turn, refusal_words=f"it holds the same samples as {twin.name}")
         turns.append(turn)
@@ -115,23 +114,24 @@ def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowle
 
 def _single_turn(window: Window, name: str, knowledge: Knowledge) -> Turn:
     found = estimate = None
+    level, known = window.in_axes(knowledge.mounting.to_level), knowledge.leveled
     try:
-        found = smoothed(window, knowledge)
-        estimate = estimate_of(found, window, knowledge)
-        check(found, estimate, window, knowledge)
+        found = smoothed(level, known)
+        estimate = estimate_of(found, level, known)
+        check(found, estimate, level, known)
     except Refusal as refusal:
         why = refusal_by_axes(refusal, window, knowledge)
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
         refusal_words = "" if mended else str(why).rstrip(".")
-        return Turn(name, window, estimate, found, why.reason, refusal_words)
+        return Turn(name, level, estimate, found, why.reason, refusal_words)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
-        return Turn(name, window, estimate, found, wrong.reason, str(wrong))
-    verdict = judge(estimate, knowledge, window)
+        return Turn(name, level, estimate, found, wrong.reason, str(wrong))
+    verdict = judge(estimate, known, level)
     refusal_words = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
-    return Turn(name, window, estimate, found, refusal_words=refusal_words)
+    return Turn(name, level, estimate, found, refusal_words=refusal_words)
 
 
 def _is_copy(window: Window, other: Window) -> bool:
@@ -313,10 +313,11 @@ def join(
 ) -> tuple[list[Turn], Estimate | None, MultiTurnReport | None]:
     """Fit the turns, and leave out one after another until the rest agrees on one calibration.
 
-    Of two turns that disagree, the later one is left out. Returns all turns, the joint estimate
-    (None for less than two turns), and the report; None if no turn joined.
+    Of two turns that disagree, the later one is left out. Returns all turns, the joint estimate in
+    level axes (None for less than two turns), and the report; None if no turn joined.
     """
     turns, joint_fit = fit_turns(windows, names, knowledge), None
+    knowledge = knowledge.leveled
     sigma, misfit = knowledge.mounting.yaw_sigma, 0.0
     while members := [turn for turn in turns if not turn.refusal_words]:
         alone = [turn.fit for turn in members]

@@ -8,7 +8,7 @@ show the gyro's bias, and the field while the motors are off.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +70,12 @@ class AttachedRest:
 
     def __post_init__(self) -> None:
         freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
+
+    def in_axes(self, rotation: FloatArray) -> AttachedRest:
+        """Return the rest in body axes that are rotated by `rotation` (3, 3)."""
+        turned = rotation @ self.turned @ rotation.T
+        force, rate = rotation @ self.force, rotation @ self.rate
+        return replace(self, force=force, rate=rate, turned=turned)
 
 
 def without_rests(

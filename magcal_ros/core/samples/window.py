@@ -48,6 +48,10 @@ class Steps(NamedTuple):
         """Rotations from the first sample's body axes to those of each, shape (n, 3, 3)."""
         return np.asarray(chained(exp_rotations(-self.angle)[None])[0])
 
+    def in_axes(self, rotation: FloatArray) -> Steps:
+        """Return the steps in rotated body axes."""
+        return Steps(self.angle @ rotation.T, self.velocity @ rotation.T, self.intervals)
+
     def over(self, rows: IntArray) -> Steps:
         """Return the steps between the chosen samples, by increasing indices."""
         attitude = self.attitude[rows]
@@ -168,6 +172,17 @@ class Window:
         if self.missed is None:
             return taken
         return taken.with_steps(self.steps.over(np.arange(len(self))[rows]))
+
+    def in_axes(self, rotation: FloatArray) -> Window:
+        """Return the same samples in body axes that are rotated by `rotation` (3, 3)."""
+        rate, missed = self.angular_rate, self.missed
+        return replace(
+            self,
+            specific_force=self.specific_force @ rotation.T,
+            angular_rate=None if rate is None else rate @ rotation.T,
+            missed=None if missed is None else missed.in_axes(rotation),
+            rests=tuple(rest.in_axes(rotation) for rest in self.rests),
+        )
 
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the integrals of all samples of an IMU with a gyro."""

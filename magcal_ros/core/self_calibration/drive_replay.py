@@ -56,6 +56,11 @@ MAP_EVERY = 0.5  # seconds between points of the map of a drive
 
 def examine_drive(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
+    return _examined(job.leveled).in_axes(job.knowledge.mounting.to_level.T)
+
+
+def _examined(job: DriveJob) -> DriveResult:
+    """Return the findings of a job in level axes."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     since_change, since_known = _irons(nodes, job, clock)

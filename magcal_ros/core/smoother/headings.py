@@ -105,6 +105,10 @@ class KnownHeadingMeasurement:
     def __post_init__(self) -> None:
         freeze(self, field=(3,), force=(3,), forward=(3,))
 
+    def in_axes(self, rotation: FloatArray) -> KnownHeadingMeasurement:
+        """Return the same measurements in rotated body axes."""
+        return replace(self, force=rotation @ self.force, forward=rotation @ self.forward)
+
     @property
     def in_words(self) -> str:
         """The heading in words, degrees."""
