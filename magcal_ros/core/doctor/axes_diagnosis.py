@@ -19,6 +19,7 @@ from magcal_ros.core.doctor.health import (
     vector_in_words,
 )
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
+from magcal_ros.core.doctor.turn_fit import log_odds_of
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     DIRECTIONS,
@@ -224,9 +225,13 @@ def diagnose_axes(
     hypotheses: AxesHypotheses,
     knowledge: Knowledge,
     turned_left: bool | None,
+    up_is_down: bool,
     gyro_is_half_dead: bool = False,
 ) -> AxesDiagnosis:
-    """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
+    """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro.
+
+    `up_is_down` is whether the sign of the specific force is wrong.
+    """
     misfit, given = hypotheses.cost - hypotheses.cost.min(), hypotheses.as_given
     if hypotheses.fit.rms[hypotheses.best] > AXES.worst_fit:
         finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
@@ -251,6 +256,11 @@ def diagnose_axes(
     suspects = {sensors: each for sensors, each in suspects.items() if len(sensors) == fewest}
     if gyro_is_half_dead and list(suspects) != [("gyro",)]:
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
+    # The model of the comparison is simple: some errors of right sensors resemble other axes.
+    asked = [given, *(each[0] for each in suspects.values())]
+    own, *others = (log_odds_of(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked)
+    if own > max(others):
+        return _all_agree(hypotheses, remains, knowledge, contrary)
     return _findings_on_axes(hypotheses, suspects, knowledge)
 
 

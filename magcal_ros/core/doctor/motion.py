@@ -124,7 +124,7 @@ def compare(
     hypotheses = other if up_is_down else given
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
-    diagnosis = diagnose_axes(hypotheses, knowledge, turned_left, dead)
+    diagnosis = diagnose_axes(hypotheses, knowledge, turned_left, bool(up_is_down), dead)
     if stands.is_wrong and not up_is_down and any(each.is_wrong for each in diagnosis.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
         diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)

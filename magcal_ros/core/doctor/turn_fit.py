@@ -51,27 +51,12 @@ class TurnFit:
 
 
 def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> TurnFit | None:
-    """Return the fit of a log by a hypothesis; None if it is refused.
-
-    The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
-    If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
-    the likelier of the two is used.
-    """
-    # The field is already in body axes.
-    nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
-    knowledge, from_level = replace(knowledge, mounting=nominal).leveled, nominal.to_level.T
-    lag = float(hypothesis.state[LAG])
-    is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
-    found: list[tuple[float, Smoothed]] = []
-    for each in (0.0, lag) if is_late else (0.0,):
-        window = _window(hypothesis, each, up_is_down)
-        if window is None:
-            continue
-        with suppress(Refusal):
-            found.append((each, smooth(window.in_axes(from_level.T), knowledge)))
-    if not found:
+    """Return the fit of a log by a hypothesis; None if it is refused."""
+    found = _likeliest_fit(hypothesis, knowledge, up_is_down)
+    if found is None:
         return None
-    lag, best = max(found, key=lambda one: _log_odds(one[1]))
+    lag, best = found
+    from_level = knowledge.mounting.to_level.T
     late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
     biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
     motors, motors_sigma = _motors(best)
@@ -84,6 +69,36 @@ def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool)
         motors_sigma,
         _drove(best),
     )
+
+
+def log_odds_of(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> float:
+    """Return the log evidence of a hypothesis by the smoother; minus infinity if it is refused."""
+    found = _likeliest_fit(hypothesis, knowledge, up_is_down)
+    return -math.inf if found is None else _log_odds(found[1])
+
+
+def _likeliest_fit(
+    hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool
+) -> tuple[float, Smoothed] | None:
+    """Return the smoother's fit by a hypothesis, and the latency (s) subtracted before.
+
+    The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
+    If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
+    the likelier of the two is used. None if all fits are refused.
+    """
+    # The field is already in body axes.
+    nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
+    knowledge, to_level = replace(knowledge, mounting=nominal).leveled, nominal.to_level
+    lag = float(hypothesis.state[LAG])
+    is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
+    found: list[tuple[float, Smoothed]] = []
+    for each in (0.0, lag) if is_late else (0.0,):
+        window = _window(hypothesis, each, up_is_down)
+        if window is None:
+            continue
+        with suppress(Refusal):
+            found.append((each, smooth(window.in_axes(to_level), knowledge)))
+    return max(found, key=lambda one: _log_odds(one[1]), default=None)
 
 
 def _log_odds(found: Smoothed) -> float:
@@ -105,7 +120,7 @@ def _window(hypothesis: AxesHypothesis, lag: float, up_is_down: bool) -> Window 
     force = interpolated(every, log.imu_time, size * log.force)
     rate = interpolated(every, log.imu_time, log.rate @ hypothesis.gyro)
     rows = np.searchsorted(every, stamps[inside])
-    field = log.field[inside] @ hypothesis.field.T
+    field = log.field[inside] @ hypothesis.field
     window = Window(stamps[inside], field, force[rows], rate[rows])
     return window.with_steps(Steps.straight(every, force, rate).over(rows))
 

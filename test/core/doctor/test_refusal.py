@@ -16,12 +16,13 @@ from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
 from magcal_ros.core.doctor import (
     alive_finding,
     compare_axes,
+    log_odds_of,
     motion,
     refusal_by_sensors,
     wrong_axes,
 )
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.knowledge import Belief, Mounting
+from magcal_ros.core.samples import ImuSample, SensorLog
 from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.core.simulation import Ride, Robot
 
@@ -159,3 +160,48 @@ def test_rates_in_another_unit_are_not_explained_as_they_are(window, monkeypatch
     assert "degrees/s published as rad/s" in outcome.verdict.summary
     # That would take four times as long, and nothing fits.
     assert max(fastest) < 2.0 * np.abs(window.angular_rate).max()
+
+
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""Axes of a magnetometer that is turned by 90° about z."""
+
+
+def compared(window):
+    """The comparison of all axes, and the fit of the likeliest."""
+    found = compare_axes(SensorLog.of_window(window), Belief.unknown())
+    named = motion.diagnose_axes(found, Knowledge(), None, up_is_down=False)
+    return found, named
+
+
+def worsened(found, times=200.0):
+    """The same comparison, with a worse cost of the axes as given."""
+    return replace(found, base=found.base + times * (np.arange(len(found.base)) == found.as_given))
+
+
+def test_axes_as_given_are_kept_if_the_smoother_finds_them_likelier(window):
+    """The comparison has a simple model, and a short turn there and back misled it."""
+    found, named = compared(window)
+    assert named.chosen == found.as_given
+    again = motion.diagnose_axes(worsened(found), Knowledge(), None, up_is_down=False)
+    assert again.chosen == found.as_given
+    assert not any(each.is_wrong for each in again.findings)
+
+
+def test_axes_that_no_fit_can_use_are_those_of_the_comparison(window, monkeypatch):
+    found = worsened(compared(window)[0])
+    monkeypatch.setattr("magcal_ros.core.doctor.axes_diagnosis.log_odds_of", lambda *_: -math.inf)
+    named = motion.diagnose_axes(found, Knowledge(), None, up_is_down=False)
+    assert named.chosen != found.as_given
+    assert any(each.is_wrong for each in named.findings)
+
+
+def test_the_fit_by_other_axes_is_that_of_right_sensors(window):
+    right, _ = compared(window)
+    turned, _ = compared(replace(window, field=window.field @ QUARTER_TURN.T))
+    is_gyro_right = (turned.gyro == np.eye(3)).all(axis=(1, 2))
+    (k,) = np.flatnonzero((turned.field == QUARTER_TURN).all(axis=(1, 2)) & is_gyro_right)
+    expected, found = (
+        log_odds_of(each.hypothesis(which), Knowledge(), False)
+        for each, which in ((right, right.as_given), (turned, k))
+    )
+    assert found == pytest.approx(expected, abs=0.5)
