@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 from magcal_ros.core.assessment.grading import CHECK_MOUNTING, Aspect, Bound, shown
 from magcal_ros.core.calibration.calibration import Estimate
@@ -11,6 +12,8 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
+AMOUNT = partial(Bound, unit="", aspect=Aspect.CONFIDENCE, at_least=True)
+"""Of how much was seen: a larger number is better."""
 FULL_ARC_DEG = 300.0  # degrees of a turn from which it counts as a full circle
 INSTALLATION = Bound(
     Figure.INSTALLATION_ANGLE,
@@ -135,22 +138,18 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         "compared with gravity, the corrected field is rotated against the IMU by",
         "this method does not correct it; give mount_rpy_deg, or use a method that does",
     ),
-    Bound(
+    AMOUNT(
         Figure.ARC,
         (FULL_ARC_DEG, 160.0, 90.0),
         "the turn covers",
         "turn the full circle",
-        aspect=Aspect.CONFIDENCE,
-        at_least=True,
+        unit="°",
     ),
-    Bound(
+    AMOUNT(
         Figure.SAMPLES,
         (100.0, 50.0, 19.0),
         "samples used:",
         "turn more slowly, or raise the rate of the topics",
-        unit="",
-        aspect=Aspect.CONFIDENCE,
-        at_least=True,
     ),
     Bound(
         Figure.SIDEWAYS_ACCELERATION,
@@ -212,14 +211,11 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         remedy=ALL_HEADINGS,
         after_full=CIRCLES,
     ),
-    Bound(
+    AMOUNT(
         Figure.HEADINGS_DRIVEN,
         (11.0, 8.0, 0.0),  # the sigma decides on a refusal
         "headings driven, of 12:",
         ALL_HEADINGS,
-        unit="",
-        aspect=Aspect.CONFIDENCE,
-        at_least=True,
     ),
     replace(
         OUTLIERS,
@@ -240,14 +236,11 @@ HEADING_BOUNDS: tuple[Bound, ...] = (
         after_full="",
         when_refused=f"{ONE_MORE}, and give the reference field",
     ),
-    Bound(
+    AMOUNT(
         Figure.KNOWN_HEADINGS,
         (3.0, 2.0, 1.0),
         "known headings:",
         f"{ONE_MORE}: with one alone, the calibration is right only near it",
-        unit="",
-        aspect=Aspect.CONFIDENCE,
-        at_least=True,
     ),
     Bound(
         Figure.HEADING_MISFIT,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.bounds import AMOUNT
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE, TUNING, Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
@@ -81,13 +82,12 @@ GYRO = Bound(
     "gyro against compass, apart from this swing",
     DISTORTED,
 )
-ARC_BOUND = Bound(
+ARC_BOUND = AMOUNT(
     Figure.ARC,
     (None, 270.0, 0.0),
     "the turn covers",
     "the headings that were not seen are not checked",
-    aspect=Aspect.CONFIDENCE,
-    at_least=True,
+    unit="°",
 )
 RECHECK_BOUNDS = SWING_BOUND, GYRO, STRENGTH_BOUND, DIP_BOUND, ARC_BOUND
 """There is no grade above good: a recheck can only confirm a calibration."""
