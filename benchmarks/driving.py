@@ -34,7 +34,7 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import SampleCollector, fit_collected
@@ -67,7 +67,7 @@ def follow(
 ) -> FollowedDrive:
     """Process a drive as the node does; `half` is the stamp of its middle, seconds."""
     up, compass, estimator = UpFollower(), Compass(calibration), TravelEstimator()
-    stamps, ups, yaws = [], [], []
+    reader, stamps, ups, yaws = CompassReader(up), [], [], []
     early = None
     for sample in samples:
         if sample.stamp >= half:
@@ -76,16 +76,13 @@ def follow(
             up.add(sample, estimator.add_imu(sample, up.gyro_bias.rate))
         elif isinstance(sample, FieldSample):
             up.add_field(sample.stamp, sample.field)
-            now = up.at(sample.stamp, 0.2)
-            if now is None:
+            reading = reader.read(compass, sample)
+            if reading.up is None or reading.heading is None:
                 continue
-            heading = compass.heading(compass.correct(sample.field), now.direction, now.variance)
-            if heading is None:
-                continue
-            estimator.add_yaw(heading.yaw)
+            estimator.add_yaw(reading.heading.yaw)
             stamps.append(sample.stamp)
-            ups.append(now.direction)
-            yaws.append(heading.yaw)
+            ups.append(reading.up.direction)
+            yaws.append(reading.heading.yaw)
         else:
             estimator.add_travel(sample)
     course = estimator.fit_course()

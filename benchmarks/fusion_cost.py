@@ -8,10 +8,9 @@ import time
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up.follower import UpFollower
@@ -39,6 +38,7 @@ def main() -> None:
 def run(samples: list[ImuSample | FieldSample], calibration: Calibration) -> list[float]:
     """Return seconds per message of each part."""
     follower, fused, compass = UpFollower(), FusedYaw(calibration, PATIENCE), Compass(calibration)
+    reader = CompassReader(follower)
     spent, counts = [0.0, 0.0, 0.0], [0, 0]
     clock = time.perf_counter
     for sample in samples:
@@ -47,25 +47,17 @@ def run(samples: list[ImuSample | FieldSample], calibration: Calibration) -> lis
             counts[0] += 1
             follower.add(sample)
             spent[0] += clock() - started
-            up = follower.at(sample.stamp, 0.0)
-            assert up is not None
             started = clock()
-            fused.propagate(
-                sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-            )
+            fused.propagate_by(sample.stamp, follower)
             fused.heading()
             spent[1] += clock() - started
             continue
         counts[1] += 1
         follower.add_field(sample.stamp, sample.field)
         spent[0] += clock() - started
-        up = follower.at(sample.stamp, STREAMS.max_gap)
-        assert up is not None
-        field = compass.correct(sample.field)
-        heading = compass.heading(field, up.direction, up.variance)
-        assert heading is not None
+        reading = reader.read(compass, sample)
         started = clock()
-        fused.correct(sample.stamp, field, up, heading)
+        fused.correct(reading)
         spent[2] += clock() - started
     return [spent[0] / counts[0], spent[1] / counts[0], spent[2] / counts[1]]
 

@@ -39,7 +39,7 @@ from magcal_ros.core.geometry.attitude import (
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.vec3 import minus, plus
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
@@ -230,17 +230,15 @@ class Follower:
         self._collector.on_imu(sample.stamp)
         if up is None or self._fused is None:
             return
-        rate, known = follower.mean_rate, follower.gyro_bias
         for fused in (self._fused, *self._gyros[1:]):
-            fused.propagate(sample.stamp, up, rate, known, follower.is_at_rest)
+            fused.propagate_by(sample.stamp, follower)
         if self._shown is not None:
-            rate = plus(rate, minus(known.rate, self._shown.rate))
+            rate = plus(follower.mean_rate, minus(follower.gyro_bias.rate, self._shown.rate))
             self._gyros[0].propagate(sample.stamp, up, rate, self._shown)
 
     def _on_field(self, sample: FieldSample, since: float, k: int) -> None:
         self._up.add_field(sample.stamp, sample.field)
-        up = self._up.at(sample.stamp, 0.2)
-        if up is None:
+        if self._up.at(sample.stamp, 0.2) is None:
             return
         if since < HEARD:
             self._collector.on_heading(self._told(sample.stamp, k))
@@ -249,10 +247,7 @@ class Follower:
             ):
                 self._calibrate()
         if self._compass is not None and self._fused is not None:
-            field = self._compass.correct(sample.field)
-            heading = self._compass.heading(field, up.direction, up.variance)
-            if heading is not None:
-                self._fused.correct(sample.stamp, field, up, heading)
+            self._fused.correct(CompassReader(self._up).read(self._compass, sample))
 
     def _calibrate(self) -> None:
         outcome, _ = fit_log(self._collector.measurements, self._knowledge)

@@ -34,9 +34,8 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.disturbance import FieldDeviation
-from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
@@ -150,7 +149,8 @@ def headings(
     """Yield stamp, whether it moves, error (radians) and variance, as in the node."""
     drive = robotic.drive
     calibration = calibration if way != "none" else replace(calibration, motors=None)
-    up, sense, compass = UpFollower(), MotionDetector(), Compass(calibration)
+    up, compass = UpFollower(), Compass(calibration)
+    reader = CompassReader(up)
     learning = MotorLearning(calibration) if way == "drive" else None
     doubt = FieldDeviation(calibration)
     yaws = dict(zip(drive.time.tolist(), drive.imu_yaw.tolist(), strict=True))
@@ -167,14 +167,13 @@ def headings(
             while waiting is not None and waiting[0] <= sample.stamp:
                 current, waiting = float(waiting[1]), next(battery, None)
             up.add_field(sample.stamp, sample.field)
-            reference = math.nan if compass.motors is None else compass.motors.reference
-            now = sense.at(sample.stamp, up.rate, up.is_at_rest, speed, current, reference)
-            if learning is not None:
+            if learning is not None and up.rate is not None:
+                now = reader.motor_state(sample.stamp, compass.motors, speed, current)
                 learning.add(sample.stamp, sample.field, up.rate, now)
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp
                     compass.use_motors(learning.motors)
-            seen = CompassReading.of(compass, sample, up, 0.2, now)
+            seen = reader.read(compass, sample, speed, current)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
@@ -55,16 +56,17 @@ def exact(correction: Correction, noise: float, strength: float, dip: float) -> 
 
 
 class Walk:
-    """The processing of messages as in the node, with one of the methods for up."""
+    """Processes messages as the node does, its motors off, with one of the methods for up."""
 
     def __init__(self, calibration: Calibration, way: str) -> None:
         self.way = way
         self.raw: Rows = []
         self.fused: Rows = []
-        self._compass = Compass(calibration)
+        self._compass = Compass(replace(calibration, motors=None))
         self._noise_up = calibration.noise_up
         self._streams = Streams(STREAMS.max_gap)
         self._follower = UpFollower()
+        self._reader = CompassReader(self._follower)
         self._fusion = FusedYaw(calibration, PATIENCE)
 
     def take(self, sample: ImuSample | FieldSample) -> None:
@@ -75,12 +77,8 @@ class Walk:
             if self.way == "low-pass":
                 sample = sample._replace(rate=(math.nan,) * 3)
             self._follower.add(sample)
-            up = self._follower.at(sample.stamp, 0.0)
-            if self.way == "propagated" and up is not None:
-                follower = self._follower
-                self._fusion.propagate(
-                    sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-                )
+            if self.way == "propagated":
+                self._fusion.propagate_by(sample.stamp, self._follower)
                 heading = self._fusion.heading()
                 if heading is not None:
                     self.fused.append((sample.stamp, heading.yaw, heading.yaw_variance))
@@ -89,16 +87,16 @@ class Walk:
         if not self._streams.add_field(sample):
             return
         self._follower.add_field(sample.stamp, sample.field)
-        reading = CompassReading.of(self._compass, sample, self._follower, STREAMS.max_gap)
-        field, up, heading = reading.field, reading.up, reading.heading
+        reading = self._reader.read(self._compass, sample)
+        heading = reading.heading
         if self.way == "accelerometer":
             imu = self._streams.imu_at(sample.stamp)
             variance = self._noise_up**2
-            heading = imu and self._compass.heading(field, imu.force, variance)
+            heading = imu and self._compass.heading(reading.field, imu.force, variance)
         if heading is not None:
             self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
-            if self.way == "propagated" and up is not None:
-                self._fusion.correct(sample.stamp, field, up, heading)
+            if self.way == "propagated":
+                self._fusion.correct(reading)
 
 
 def starts_and_stops(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:

@@ -37,11 +37,10 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import UpFollower
@@ -177,6 +176,7 @@ class Listener:
     def __post_init__(self) -> None:
         self.compasses = {k: Compass(each) for k, each in self.calibrations.items()}
         self.follower, self.several = UpFollower(), SeveralCompasses()
+        self.reader = CompassReader(self.follower)
         for number, calibration in self.calibrations.items():
             self.several.put_in_force(number, calibration)
         lead = next(iter(self.calibrations.values()))
@@ -195,11 +195,7 @@ class Listener:
 
     def _on_imu(self, sample: ImuSample) -> None:
         self.follower.add(sample)
-        up, follower = self.follower.at(sample.stamp, 0.0), self.follower
-        assert up is not None
-        self.fused.propagate(
-            sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-        )
+        self.fused.propagate_by(sample.stamp, self.follower)
         heading = self.fused.heading()
         if heading is not None:
             self.fused_rows.append((sample.stamp, heading.yaw, heading.yaw_variance))
@@ -207,8 +203,7 @@ class Listener:
     def _on_field(self, number: int, sample: FieldSample, now: float) -> None:
         if number == 0 or len(self.compasses) == 1:
             self.follower.add_field(sample.stamp, sample.field)
-        compass, gap = self.compasses[number], STREAMS.max_gap
-        moment = CompassReading.of(compass, sample, self.follower, gap)
+        moment = self.reader.read(self.compasses[number], sample)
         if len(self.compasses) > 1:
             joined = self.several.add(number, moment, now, self.fused)
             if joined is None:
@@ -216,7 +211,7 @@ class Listener:
             moment = joined
             self.weights.append((sample.stamp, self.several.weights[0].weight))
         if moment.up is not None and moment.heading is not None:
-            self.fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
+            self.fused.correct(moment)
             heading, up = moment.heading, moment.up
             more = self.doubt.add(moment.stamp, moment.field, up.direction, up.variance)
             self.rows.append((moment.stamp, heading.yaw, heading.yaw_variance + more))

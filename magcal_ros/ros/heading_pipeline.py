@@ -260,11 +260,8 @@ class HeadingPipeline:
 
     def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""
-        motor_state = None
-        if compass.motors is not None:
-            motor_state = self.motors.motor_state(sample.stamp, compass.motors)
-        at = self.up, streams.max_gap
-        return CompassReading.of(compass, sample, *at, motor_state, streams.turned_unchanged)
+        inputs = (*self.motors.inputs(sample.stamp), streams.max_gap, streams.turned_unchanged)
+        return self.motors.reader.read(compass, sample, *inputs)
 
     def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""

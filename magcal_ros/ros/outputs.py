@@ -234,24 +234,17 @@ class FusedOutput:
             return
         if self.yaw is None:
             self.yaw = FusedYaw(self._calibration, self.patience)
-        fused, up = self.yaw, self._follower.at(seconds, 0.0)
-        if up is None or not self._follower.is_propagated:
-            fused.restart()
-            return
-        follower = self._follower
-        fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
-        heading, view = fused.heading(), self._frames.view
+        self.yaw.propagate_by(seconds, self._follower)
+        heading, view = self.yaw.heading(), self._frames.view
         if heading is not None and view is not None:
             seen, frame = view.heading(heading), self._frames.frame(frame)
             self._out.publish(stamp, frame, seen, reference)
 
     def on_field(self, reading: CompassReading) -> None:
         """Correct the yaw by a field message."""
-        if self.yaw is None or not self._follower.is_propagated:
-            return
-        if reading.up is not None and reading.heading is not None:
+        if self.yaw is not None and self._follower.is_propagated:
             self.yaw.detector.patience = self.patience
-            self.yaw.correct(reading.stamp, reading.field, reading.up, reading.heading)
+            self.yaw.correct(reading)
 
     def diagnostic(self) -> DiagnosticStatus:
         """Return the diagnostic of the fused yaw: its output and the state of the field."""

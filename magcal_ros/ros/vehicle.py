@@ -15,15 +15,14 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState, NavSatFix
 
-from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
+from magcal_ros.core.calibration.correction import MotorField, MotorInput
 from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.heading.base_heading import DrivenYaw, VehicleYaw, compare_with_course
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.heading.heading_tuning import VEHICLE_YAW
-from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.battery import SILENT, Messages, usable_current
 from magcal_ros.core.samples.streams import FieldSample, SpeedSample, VelocitySample
@@ -256,7 +255,7 @@ class Motors:
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._estimator = up, travel.estimator
-        self._detector = MotionDetector()
+        self.reader = CompassReader(up)
         self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
@@ -266,17 +265,11 @@ class Motors:
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
 
-    def motor_state(self, stamp: float, motors: MotorField | None) -> MotorState:
-        """Return the state of the motors at the stamp of a field message, seconds.
-
-        The current is relative to the reference current of `motors`.
-        """
-        rate = self._up.rate if self._up.is_propagated else None
+    def inputs(self, stamp: float) -> tuple[float, float]:
+        """Return speed and current at the stamp of a field message, for `CompassReader`."""
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._estimator.wheel_speed(stamp)
-        speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
-        reference = math.nan if motors is None else motors.reference
-        return self._detector.at(stamp, rate, self._up.is_at_rest, speed, current, reference)
+        return self.commands.speed_near(stamp) if math.isnan(speed) else speed, current
 
     @property
     def currents(self) -> Messages:
@@ -293,15 +286,16 @@ class Motors:
                 compass.use_motors(compass.motors.combined_with(before))
         if compass is None:
             return sample
-        learns = self._learns and self._up.is_propagated
-        if not learns and compass.motors is None:
+        rate = self._up.rate if self._learns else None
+        if rate is None and compass.motors is None:
             return sample
-        motor_state = self.motor_state(sample.stamp, compass.motors)
-        if learns:
+        inputs = self.inputs(sample.stamp)
+        motor_state = self.reader.motor_state(sample.stamp, compass.motors, *inputs)
+        if rate is not None:
             if self._learning is None:
                 known = replace(compass.calibration, motors=compass.motors)
                 self._learning = MotorLearning(known)
-            is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, motor_state)
+            is_done = self._learning.add(sample.stamp, sample.field, rate, motor_state)
             self._has_learnt = is_done or self._has_learnt
         return FieldSample(sample.stamp, compass.without_motors(sample.field, motor_state))
 
@@ -333,7 +327,7 @@ class Motors:
         motors = None if compass is None else compass.motors
         if motors is None:
             return None
-        now = self._detector.newest
+        now = self.reader.detector.newest
         delay = None if self._learning is None else [round(s, 2) for s in self._learning.delay]
         return {
             "moves": None if now.moving == 0.5 else now.moving > 0.5,

@@ -7,7 +7,7 @@ from sample_results import EVIDENCE
 from magcal_ros.core import Calibration, Compass
 from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import wrap_angle
-from magcal_ros.core.heading import PATIENCE, CompassReading, FusedYaw
+from magcal_ros.core.heading import PATIENCE, CompassReader, FusedYaw
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.up import UpFollower
 
@@ -29,6 +29,7 @@ class Fusing:
         self.compass = Compass(calibration)
         self.streams = Streams(0.2)
         self.follower = UpFollower()
+        self.reader = CompassReader(self.follower)
         self.fused = FusedYaw(calibration, patience)
         self.raw, self.found, self.truth = [], [], []
         self.estimator = TravelEstimator()
@@ -39,27 +40,18 @@ class Fusing:
         elif self.streams.add_field(sample, self.follower.turned):
             self.follower.add_field(sample.stamp, sample.field)
             unchanged = self.streams.turned_unchanged
-            reading = CompassReading.of(
-                self.compass, sample, self.follower, 0.2, turned_unchanged=unchanged
-            )
+            reading = self.reader.read(self.compass, sample, turned_unchanged=unchanged)
             heading = reading.heading
             if heading:
                 self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
-                self.fused.correct(sample.stamp, reading.field, reading.up, heading)
+                self.fused.correct(reading)
 
     def on_imu(self, sample, ride):
         if not self.streams.add_imu(sample):
             return
         own = self.estimator.add_imu(sample, self.follower.gyro_bias.rate)
         self.follower.add(sample, own)
-        up = self.follower.at(sample.stamp, 0.0)
-        if up is None or not self.follower.is_propagated:
-            self.fused.restart()
-            return
-        follower = self.follower
-        self.fused.propagate(
-            sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-        )
+        self.fused.propagate_by(sample.stamp, self.follower)
         heading = self.fused.heading()
         if heading is not None:
             self.found.append((sample.stamp, heading.yaw, heading.yaw_variance))

@@ -102,10 +102,9 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
         read_calibration(with_motors)[0].motors,
         graph.calibrators[0]._pipeline.motors,
     )
-    stamp = actor.ride.stamp
-    found = [
-        now_running.motor_state(stamp, replace(known, reference=a)).current for a in (0.5, 2.0)
-    ]
+    stamp, state = actor.ride.stamp, now_running.reader.motor_state
+    inputs = now_running.inputs(stamp)
+    found = [state(stamp, replace(known, reference=a), *inputs).current for a in (0.5, 2.0)]
     assert found == [2.5, 1.0]
     # Another calibration keeps the inputs of the motors.
     loaded = actor.answer(actor.call("load"))
@@ -240,5 +239,5 @@ def test_a_current_or_command_that_no_robot_has_counts_as_missing(start_node, si
     command.linear.x = -float(size)
     motors.commands._on_command(command)
     assert not motors.currents
-    assert math.isnan(motors.motor_state(motors._up.newest_stamp, None).current)
+    assert math.isnan(motors.inputs(motors._up.newest_stamp)[1])
     assert not motors.commands.is_received

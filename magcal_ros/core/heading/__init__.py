@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
     base_heading: BaseHeading VehicleYaw compare_with_course corrected_pose
-    compass: CompassReading Heading quaternion_from_rpy
+    compass: CompassReader CompassReading Heading quaternion_from_rpy
     disturbance: FieldDeviation FieldUse PATIENCE
     fused_yaw: FusedYaw
     heading_tuning: FUSION

@@ -18,7 +18,9 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, minus, propagated
 from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
+from magcal_ros.core.heading.motor_inputs import MotionDetector
 from magcal_ros.core.knowledge import UNKNOWN_YAW
+from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up, UpFollower
 
@@ -251,32 +253,52 @@ class CompassReading(NamedTuple):
     measured: Triple = (math.nan, math.nan, math.nan)
     """The same field in the body axes of its measurement, which is earlier by a latency."""
 
-    @classmethod
-    def of(
-        cls,
+
+class CompassReader:
+    """Reads compasses: up comes from a follower, the motors' state from it, wheels and battery.
+
+    The follower has received all messages up to the stamp of a field sample, in seconds. Speeds are
+    in m/s and currents in amperes, NaN if unknown.
+    """
+
+    def __init__(self, follower: UpFollower) -> None:
+        self._follower, self.detector = follower, MotionDetector()
+
+    def motor_state(
+        self, stamp: float, motors: MotorField | None, speed: float, current: float
+    ) -> MotorState:
+        """Return the state of the motors; `motors` have the reference of the current."""
+        still, rate = self._follower.is_at_rest, self._follower.rate
+        reference = math.nan if motors is None else motors.reference
+        return self.detector.at(stamp, rate, still, speed, current, reference)
+
+    def read(
+        self,
         compass: Compass,
         sample: FieldSample,
-        follower: UpFollower,
-        max_gap: float,
-        motor_state: MotorState | None = None,
+        speed: float = math.nan,
+        current: float = math.nan,
+        max_gap: float = STREAMS.max_gap,
         turned_unchanged: float = 0.0,
+        up: Up | None = None,
     ) -> CompassReading:
-        """Return a field sample, corrected by a compass, and up by a follower.
+        """Return a field sample, corrected by a compass, without the field of the motors.
 
-        `max_gap` is as for `UpFollower.at`. Unless `motor_state` is given, the motors are assumed
-        to be off. `turned_unchanged` is the angle by which the robot has turned since this value of
-        the field first came, radians. A magnetometer that is frozen, coarse or read too often
-        repeats an old value, so the error of the yaw may be as large.
+        `max_gap` is as for `UpFollower.at`, which gives `up` by default. `turned_unchanged` is the
+        angle by which the robot has turned since this value of the field first came, radians. A
+        magnetometer that is frozen, coarse or read too often repeats an old value, so the error of
+        the yaw may be as large.
         """
-        stamp, up = sample.stamp, follower.at(sample.stamp, max_gap)
-        rate = follower.rate if follower.is_propagated else None
-        measured, motors, heading = compass.correct(sample.field), None, None
-        if motor_state is not None:
-            measured, motors = compass.at_rest(stamp, sample.field, rate, motor_state)
+        follower, stamp, heading = self._follower, sample.stamp, None
+        up, rate = up or follower.at(stamp, max_gap), follower.rate
+        measured, motors = compass.correct(sample.field), None
+        if compass.motors is not None:
+            state = self.motor_state(stamp, compass.motors, speed, current)
+            measured, motors = compass.at_rest(stamp, sample.field, rate, state)
         field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
         old = min(turned_unchanged**2, UNKNOWN_YAW)
         if heading is not None and old:
             heading = heading._replace(yaw_variance=heading.yaw_variance + old)
-        return cls(stamp, field, up, heading, rate, old, measured)
+        return CompassReading(stamp, field, up, heading, rate, old, measured)

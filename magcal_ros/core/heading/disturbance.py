@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
-from magcal_ros.core.heading.compass import level_field_covariance
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, level_field_covariance
 from magcal_ros.core.heading.heading_tuning import DISTURBANCE, FUSION
 from magcal_ros.core.knowledge import CLEAR, INCLINATION_SIGMA_DEG, UNKNOWN_YAW
 
@@ -76,9 +76,11 @@ class FieldDeviation:
         self.is_turned = False  # whether most of the error turns the yaw
         # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        self._calibrated = self._expected = max(calibration.strength, 1e-9), calibration.inclination
+        self.strength = max(calibration.strength, 1e-9)  # of the calibrated field, tesla
+        self.level_share = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)  # of it
+        self._calibrated = self._expected = self.strength, calibration.inclination
         own = float(np.trace(level_field_covariance(calibration))) / 3.0
-        self._noise = (calibration.noise_field**2 + own) / self._calibrated[0] ** 2
+        self._noise = (calibration.noise_field**2 + own) / self.strength**2
         self._mean = self._calibrated
         self._stamp = -math.inf
         self._mean_excess = self._seconds = 0.0

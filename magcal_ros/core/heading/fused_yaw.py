@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     scaled,
 )
-from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
+from magcal_ros.core.heading.compass import CompassReading, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
 from magcal_ros.core.heading.heading_tuning import FUSION, PLACE_FIELD
 from magcal_ros.core.heading.yaw_filter import (
@@ -44,7 +44,7 @@ from magcal_ros.core.knowledge import CLEAR, UNKNOWN_YAW
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import enclosing
 from magcal_ros.core.up.filter import GYRO
-from magcal_ros.core.up.follower import Up
+from magcal_ros.core.up.follower import Up, UpFollower
 from magcal_ros.core.up.propagation import GyroBias
 
 
@@ -75,9 +75,6 @@ class FusedYaw:
 
     def _measure_by(self, calibration: Calibration, patience: float) -> None:
         self.detector = FieldDeviation(calibration, patience)
-        level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
-        self._level_share = level * level
-        self._strength = calibration.strength
         self._gyro_scale = calibration.evidence.figure(Figure.GYRO_SCALE, 0.0)
 
     def restart(self) -> None:
@@ -90,15 +87,22 @@ class FusedYaw:
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
-        self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
+        self._corrected = self._start_stamp = self._heading_stamp = -math.inf
         self.last_heading_gap = 0.0  # last heading of another device minus the yaw, radians
         self.field_jump: FieldJump | None = None
         """Two hypotheses of the last field that overruled the yaw; None if none did."""
         self._jump_shift = 0.0
-        self._heading_gaps: list[float] = []
         self._heading_variance = 0.0  # of the yaw by errors of the headings, rad²
-        self._rests: list[tuple[float, float, float]] = []
+        self._gyro_drift.begin_means()
         self._path.clear()
+
+    def propagate_by(self, stamp: float, follower: UpFollower) -> None:
+        """Propagate to an IMU message that `follower` has received; without a gyro, start anew."""
+        up = follower.at(stamp, 0.0)
+        if up is None or not follower.is_propagated:
+            self.restart()
+            return
+        self.propagate(stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
 
     def propagate(
         self, stamp: float, up: Up, rate: Triple, known: GyroBias, is_at_rest: bool = False
@@ -158,29 +162,17 @@ class FusedYaw:
             noise = variance * own / (own - variance)
             self._turn(following.observe(BY_REST, 0.0, noise))
             self._gyro_drift.begin(dot(known.rate, self._up.direction), variance)
-        self._learn_at_rest(known)
+        at_rest = known.at_rest and (dot(known.at_rest[0], self._up.direction), known.at_rest[1])
+        mean = self._gyro_drift.add_rest(self._stamp, at_rest)
+        if mean is not None:
+            left, noise = mean[0] - dot(known.rate, self._up.direction), mean[1]
+            self._turn(following.observe(BY_REST, left, noise + self._gyro_drift.rest_turn))
 
-    def _learn_at_rest(self, known: GyroBias) -> None:
-        """Learn the bias and its random walk at rest."""
-        rests = self._rests
-        if known.at_rest is not None:
-            rate, noise = known.at_rest
-            rests.append((self._stamp, dot(rate, self._up.direction), 1.0 / noise))
-        if not rests or (known.at_rest and self._stamp - rests[0][0] < FUSION.rest_time):
+    def correct(self, reading: CompassReading) -> None:
+        """Correct the yaw by a reading of the compass; without a heading it is left out."""
+        stamp, field, up, heading, *_ = reading
+        if up is None or heading is None:
             return
-        weight = sum(each for *_, each in rests)
-        shown = sum(each * about for _, about, each in rests) / weight
-        rests.clear()
-        self._gyro_drift.add_rest(self._stamp, shown, 1.0 / weight)
-        left = shown - dot(known.rate, self._up.direction)
-        noise = 1.0 / weight + self._gyro_drift.rest_turn
-        self._turn(self._filter.observe(BY_REST, left, noise))
-
-    def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
-        """Correct the yaw by the compass.
-
-        `field` is corrected, tesla, body axes; `heading` follows from `field` and `up` at `stamp`.
-        """
         measured = levelled(field, up.direction)
         if measured is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
@@ -245,24 +237,13 @@ class FusedYaw:
         if missed > FUSION.heading_gate:
             return missed
         noise = variance * max(1.0, 2.0 * self._gyro_drift.heading_error_time / since)
-        self._learn_drift(stamp, innovation, variance, since)
+        gap = innovation + self._shift - self._drift
+        if self._gyro_drift.add_heading(stamp, gap, variance, since):
+            mean, covariance = self._gyro_drift.yaw_gap()
+            off = float(mean[0]) - self._shift + self._drift
+            self._heading_variance = float(covariance[0, 0]) + off**2
         self._turn(self._filter.observe(BY_YAW, innovation, noise))
         return missed
-
-    def _learn_drift(self, stamp: float, innovation: float, variance: float, since: float) -> None:
-        """Learn the gyro's random walk from headings minus the yaw of the gyro alone."""
-        if since >= FUSION.heading_tau:
-            self._heading_gaps, self._heading_since = [], -math.inf
-        self._heading_gaps.append(innovation + self._shift - self._drift)
-        if stamp - self._heading_since >= FUSION.heading_tau:
-            count = len(self._heading_gaps)
-            yaw_gap = sum(self._heading_gaps) / count
-            self._gyro_drift.add_heading(stamp, yaw_gap, variance, count)
-            self._heading_gaps, self._heading_since = [], stamp
-            mean, covariance = self._gyro_drift.yaw_gap()
-            self._heading_variance = (
-                float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
-            )
 
     def _end_headings(self) -> None:
         """Continue without headings, with the variance by a possible drift of the headings."""
@@ -313,7 +294,7 @@ class FusedYaw:
     @property
     def _disturbance_variance(self) -> float:
         """Variance of the compass's yaw by local disturbances, rad²."""
-        return self.detector.amplitude_variance / self._level_share
+        return self.detector.amplitude_variance / self.detector.level_share**2
 
     def _begin(self, stamp: float, measured: Triple, up: Triple, heading: Heading) -> None:
         then = self._at(stamp)
@@ -333,7 +314,7 @@ class FusedYaw:
     def _change_disturbance(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""
         known = self._filter.yaw_variance + heading.variance_by_tilt
-        across = max(0.0, innovation**2 - known) * self._level_share
+        across = max(0.0, innovation**2 - known) * self.detector.level_share**2
         self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
         tau = FUSION.standing_tau if self._is_at_rest else FUSION.moving_tau
         self._filter.change_disturbance(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
@@ -344,10 +325,11 @@ class FusedYaw:
         `level` is the size of the measured one, tesla, `yaw` that of the compass, and `gap` its
         difference from the yaw before all corrections, radians.
         """
-        expected, gap = self._strength * math.sqrt(self._level_share), gap - self._jump_shift
+        strength, gap = self.detector.strength, gap - self._jump_shift
+        expected = strength * self.detector.level_share
         seconds = 0.0 if self.field_jump is None else stamp - self.field_jump.stamp
         drifted = self._filter.bias_variance * seconds**2
-        variance = self._strength**2 * self.detector.usual_variance + expected**2 * drifted
+        variance = strength**2 * self.detector.usual_variance + expected**2 * drifted
         return LevelField(cmath.rect(level, gap), yaw - gap, expected, variance)
 
     def _correct(

@@ -221,6 +221,7 @@ class GyroDrift:
         self._log_odds += np.log(odds)[kind]
         self._update_weights()
         self.begin(0.0, 0.0)
+        self.begin_means()
 
     def begin(self, bias: float, variance: float) -> None:
         """Restart the filters, and keep the weights of the sets.
@@ -235,12 +236,47 @@ class GyroDrift:
         self._covariance: FloatArray = np.tile(start, (count, 1, 1))
         self._covariance[:, 4, 4] = self._drift_rates
 
-    def add_heading(self, stamp: float, yaw_gap: float, variance: float, count: int) -> None:
-        """Add the mean of headings over `FUSION.heading_tau` seconds.
+    def begin_means(self) -> None:
+        """Forget the collected headings and rests of which no mean was added yet."""
+        self._gaps, self._mean_since = list[float](), -math.inf
+        self._rests = list[tuple[float, float, float]]()
 
-        `yaw_gap` is the mean minus the yaw of the gyro alone, radians. `variance` is the variance
-        of each of `count` headings, rad².
+    def add_heading(self, stamp: float, yaw_gap: float, variance: float, since: float) -> bool:
+        """Take a heading, `since` seconds after the last; return whether the drift was updated.
+
+        `yaw_gap` is the heading minus the yaw of the gyro alone, radians, with its variance, rad².
+        The update is by the mean over `FUSION.heading_tau` seconds.
         """
+        if since >= FUSION.heading_tau:
+            self._gaps, self._mean_since = [], -math.inf
+        self._gaps.append(yaw_gap)
+        if stamp - self._mean_since < FUSION.heading_tau:
+            return False
+        gaps, self._gaps, self._mean_since = self._gaps, [], stamp
+        self._add_mean_heading(stamp, sum(gaps) / len(gaps), variance, len(gaps))
+        return True
+
+    def add_rest(
+        self, stamp: float, rest: tuple[float, float] | None
+    ) -> tuple[float, float] | None:
+        """Take the gyro's rate about up at rest, rad/s, with its variance; None in motion.
+
+        The update is by the mean over a rest, or over `FUSION.rest_time` seconds of it, which is
+        returned with its variance.
+        """
+        rests = self._rests
+        if rest is not None:
+            rests.append((stamp, rest[0], 1.0 / rest[1]))
+        if not rests or (rest and stamp - rests[0][0] < FUSION.rest_time):
+            return None
+        weight = sum(each for *_, each in rests)
+        rate = sum(each * about for _, about, each in rests) / weight
+        rests.clear()
+        self.propagate(stamp)
+        self._update(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), 1.0 / weight + self._turns)
+        return rate, 1.0 / weight
+
+    def _add_mean_heading(self, stamp: float, yaw_gap: float, variance: float, count: int) -> None:
         self.propagate(stamp)
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
             self._covariance[:, 3, 3] += FUSION.drift_jump**2 * (self._drift_walks > 0.0)
@@ -255,11 +291,6 @@ class GyroDrift:
         self._covariance[:, :, 2] *= kept[:, None]
         self._covariance[:, 2, 2] += (1.0 - kept**2) * self._left * variance
         self._update(yaw_gap, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
-
-    def add_rest(self, stamp: float, rate: float, variance: float) -> None:
-        """Add the gyro's mean rate about up while the robot seems to rest, rad/s."""
-        self.propagate(stamp)
-        self._update(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
 
     def propagate(self, stamp: float) -> None:
         """Propagate to a stamp."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle, wrapped
-from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams, TravelSample
 
@@ -85,11 +85,11 @@ def _yaws(
     replay: TravelReplay,
     readings: Iterable[ImuSample | FieldSample | None],
 ) -> Iterator[tuple[float, float]]:
-    """Yield stamp (s) and yaw (rad) of each field sample of a replay."""
-    compass = Compass(calibration)
+    """Yield stamp (s) and yaw (rad) of each field sample, which is without the motors' field."""
+    compass, reader = Compass(replace(calibration, motors=None)), CompassReader(replay.up)
     for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
-            heading = CompassReading.of(compass, sample, replay.up, STREAMS.max_gap).heading
+            heading = reader.read(compass, sample).heading
             if heading is not None:
                 yield sample.stamp, heading.yaw
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -45,6 +46,13 @@ class Battery:
 def usable_current(current: float) -> float:
     """Return a current, amperes; NaN if no battery has it, such as a driver's largest number."""
     return current if abs(current) <= STREAMS.largest_current else math.nan
+
+
+def newest_at(messages: Messages, stamp: float) -> float:
+    """Return the newest value at a stamp, by messages in their order; NaN if none is recent."""
+    row = bisect_right(messages, (stamp, math.inf))
+    received, value = messages[row - 1] if row else (-math.inf, math.nan)
+    return value if stamp - received < SILENT else math.nan
 
 
 def battery_of(messages: Messages, begin: float, end: float) -> Battery | None:

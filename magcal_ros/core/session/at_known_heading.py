@@ -280,11 +280,10 @@ class HeadingCollector:
         `max_gap` is as in `UpFollower.at`. Means of a sector are one correlation length of the
         local disturbance apart, by the usual speed of a drive. So a rest gives one mean only.
         """
-        up, given, stamp = self._up.at(sample.stamp, max_gap), self.newest, sample.stamp
-        shift = reference.to_magnetic(is_true)
-        if up is None or shift is None or stamp - given.stamp > LOG.block:
-            return False
-        if self.check.fault or not self._up.is_propagated:
+        stamp, given, rate = sample.stamp, self.newest, self._up.rate
+        up, shift = self._up.at(stamp, max_gap), reference.to_magnetic(is_true)
+        is_usable = stamp - given.stamp <= LOG.block and not self.check.fault
+        if up is None or rate is None or shift is None or not is_usable:
             return False
         if not np.array_equal(self._forward, forward):
             self._forward = forward
@@ -292,7 +291,7 @@ class HeadingCollector:
         since, self._heard = stamp - self._heard, stamp
         if since > 0.0 and not self._up.is_at_rest:
             self._metres += KINDS[ON_WHEELS].speed * since
-        if abs(dot(self._up.rate, up.direction)) > LOG.rate:
+        if abs(dot(rate, up.direction)) > LOG.rate:
             self._block = []
             return False
         if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias
@@ -22,11 +21,10 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.doctor.sensor_report import refusal_by_sensors
 from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motor_inputs import MotionDetector
+from magcal_ros.core.heading.compass import Compass, CompassReader
 from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
 from magcal_ros.core.multi_turn.result import TurnResult
-from magcal_ros.core.samples.battery import SILENT, Messages
+from magcal_ros.core.samples.battery import Messages, newest_at
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
@@ -275,27 +273,17 @@ def without_motors(
     if calibration.motors is None:
         yield from readings
         return
-    compass, sense, replay = Compass(calibration), MotionDetector(), TravelReplay(())
+    compass, replay = Compass(calibration), TravelReplay(())
+    reader = CompassReader(replay.up)
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
     for reading in replay.readings(readings):
         if isinstance(reading, FieldSample):
-            stamp, up = reading.stamp, replay.up
-            rate = up.rate if up.is_propagated else None
-            inputs = _newest(speeds, stamp), _newest(currents, stamp)
-            reference = calibration.motors.reference
-            motor_state = sense.at(stamp, rate, up.is_at_rest, *inputs, reference)
-            field, _ = compass.at_rest(stamp, reading.field, rate, motor_state)
+            speed, current = (newest_at(each, reading.stamp) for each in (speeds, currents))
+            field = reader.read(compass, reading, speed, current).measured
             x, y, z = calibration.correction.undo(np.array(field)).tolist()
-            yield FieldSample(stamp, (x, y, z))
+            yield FieldSample(reading.stamp, (x, y, z))
         else:
             yield reading
-
-
-def _newest(values: Messages, stamp: float) -> float:
-    """Return the newest of (stamp in s, value) pairs at a stamp; NaN if none is recent."""
-    row = bisect_right(values, (stamp, math.inf))
-    since, value = values[row - 1] if row else (-math.inf, math.nan)
-    return value if stamp - since < SILENT else math.nan
 
 
 FORWARD = np.array([1.0, 0.0, 0.0])  # direction to which the headings refer: the IMU's x axis

@@ -168,13 +168,13 @@ class UpFollower:
         return not self._dead_axes.is_any
 
     @property
-    def rate(self) -> Triple:
-        """The newest turn rate minus the gyro's bias, rad/s; zero if up is not propagated."""
-        return self._propagation.rate if self.is_propagated else ZERO
+    def rate(self) -> Triple | None:
+        """The newest turn rate minus the gyro's bias, rad/s; None if up is not propagated."""
+        return self._propagation.rate if self.is_propagated else None
 
     @property
     def mean_rate(self) -> Triple:
-        """The same, as the mean since the previous message."""
+        """Its mean since the previous message; zero if up is not propagated."""
         return self._propagation.mean_rate if self.is_propagated else ZERO
 
     @property
@@ -284,37 +284,36 @@ class UpFollower:
         Up is interpolated before the newest sample, and propagated at the same rate after it.
         `max_gap`, seconds, is the longest time between samples, and after the newest one.
         """
-        found = enclosing(self._ups, stamp)
-        if found is None:
+        found = self._record_at(stamp, max_gap)
+        if found is None or not length(found.up) > 0.0:
             return None
-        (begin, up, variance, _), after = found
-        since = stamp - begin
-        if since > 0.0:
-            span = since if after is None else after.stamp - begin
-            if span > max_gap:
-                return None
-            if after is None:
-                up = propagated(up, scaled(self.rate, since))
-            else:
-                up = interpolate(up, after.up, since / span)
-        return Up(unit_triple(up), variance) if length(up) > 0.0 else None
+        return Up(unit_triple(found.up), found.variance)
 
     def turn_between(self, start: float, end: float) -> Triple:
         """Return the rotation vector of the body between two near stamps, radians, body axes.
 
         By the gyro without its bias, constant after the newest sample; zero where it is unknown.
         """
-        before, after = self._turns_at(start), self._turns_at(end)
-        return ZERO if before is None or after is None else minus(after, before)
+        before, after = self._record_at(start), self._record_at(end)
+        return ZERO if before is None or after is None else minus(after.turns, before.turns)
 
-    def _turns_at(self, stamp: float) -> Triple | None:
+    def _record_at(self, stamp: float, max_gap: float = math.inf) -> _UpRecord | None:
         found = enclosing(self._ups, stamp)
         if found is None:
             return None
-        (begin, _, _, turns), after = found
-        if after is None:
-            return plus(turns, scaled(self.rate, stamp - begin))
-        return interpolate(turns, after.turns, (stamp - begin) / (after.stamp - begin))
+        (begin, up, variance, turns), after = found
+        since = stamp - begin
+        span = since if after is None else after.stamp - begin
+        if since > 0.0:
+            if span > max_gap:
+                return None
+            if after is None:
+                turn = scaled(self.rate or ZERO, since)
+                up, turns = propagated(up, turn), plus(turns, turn)
+            else:
+                up = interpolate(up, after.up, since / span)
+                turns = interpolate(turns, after.turns, since / span)
+        return _UpRecord(stamp, up, variance, turns)
 
 
 def has_gyro(sample: ImuSample) -> bool:

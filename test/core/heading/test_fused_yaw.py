@@ -16,7 +16,7 @@ from simulated import Vehicle, city, simulated_drive, travel
 
 from magcal_ros.core import Calibration, Compass, Correction
 from magcal_ros.core.geometry import wrap_angle
-from magcal_ros.core.heading import FUSION, PATIENCE, FieldUse, FusedYaw
+from magcal_ros.core.heading import FUSION, PATIENCE, CompassReading, FieldUse, FusedYaw
 from magcal_ros.core.samples import ImuSample, SpeedSample
 from magcal_ros.core.up import GyroBias, Up
 from magcal_ros.files import read_csv_folder
@@ -80,7 +80,7 @@ def test_a_start_with_an_uncertain_up_is_corrected_by_a_better_compass():
         field = (north * math.sin(yaw), north * math.cos(yaw), down)
         heading = compass.heading(field, up, variance)
         fused.propagate(0.02 * k, Up(up, variance), (0.0, 0.0, 0.0), UNBIASED)
-        fused.correct(0.02 * k, field, Up(up, variance), heading)
+        fused.correct(CompassReading(0.02 * k, field, Up(up, variance), heading, None))
     assert abs(math.degrees(fused.heading().yaw)) < 4.0
 
 
@@ -302,7 +302,7 @@ def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
         # An unknown gyro bias of 0.3 °/s, while the robot stands.
         fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)), unknown)
         if k == 0:
-            fused.correct(stamp, tuple(field), up, heading)
+            fused.correct(CompassReading(stamp, tuple(field), up, heading, None))
         elif k % 10 == 0 and k < 2500:
             missed = fused.take_heading(stamp, heading.yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
             assert missed < FUSION.heading_gate
@@ -325,7 +325,7 @@ def test_a_rest_shows_the_gyro_bias():
     heading = Compass(CALIBRATED).heading(field, up.direction, up.variance)
     going, resting = (GyroBias((0.0, 0.0, 0.0), 1e-4, shown) for shown in (None, (rate, 1e-6)))
     fused.propagate(99.98, up, rate, GyroBias((0.0, 0.0, 0.0), 1e-6))
-    fused.correct(99.98, field, up, heading)
+    fused.correct(CompassReading(99.98, field, up, heading, None))
     for k in range(3000):
         # A robot that goes straight on but for the second third of a minute.
         known = resting._replace() if 1000 <= k < 2000 else going
@@ -351,7 +351,7 @@ def test_external_headings_show_whether_gyro_or_compass_is_better(walk):
         rate = (0.0, 0.0, bias + 2e-3 * rng.standard_normal())
         fused.propagate(stamp, up, rate, UNBIASED)
         if k % 5 == 0:
-            fused.correct(stamp, field, up, heading)
+            fused.correct(CompassReading(stamp, field, up, heading, None))
         if k % 10 == 5 and k < 13000:
             yaw = 0.5 * math.pi + math.radians(0.5) * rng.standard_normal()
             fused.take_heading(stamp, yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
@@ -374,7 +374,7 @@ def test_headings_that_drift_before_they_stop_enlarge_the_variance():
         rate = (0.0, 0.0, 0.003 + 2e-3 * rng.standard_normal())
         fused.propagate(100.0 + since, up, rate, known)
         if k == 0:
-            fused.correct(100.0, field, up, compass)
+            fused.correct(CompassReading(100.0, field, up, compass, None))
         if k % 10 == 5 and since < 120.0:
             drift = math.radians(0.3) * max(0.0, since - 60.0)
             reported = 0.5 * math.pi + drift + math.radians(1.0) * rng.standard_normal()
@@ -403,7 +403,7 @@ def test_headings_by_an_integrated_gyro_that_rests_contradict_enlarge_the_varian
             known = GyroBias((0.0, 0.0, 0.0), 1e-4)
         fused.propagate(100.0 + since, up, rate, known)
         if k == 0:
-            fused.correct(100.0, field, up, compass)
+            fused.correct(CompassReading(100.0, field, up, compass, None))
         if k % 10 == 5:
             reported = 0.5 * math.pi + math.radians(0.1) * since
             reported += math.radians(1.0) * rng.standard_normal()

@@ -11,7 +11,6 @@ from moving import ROBOT, Course
 
 from magcal_ros.core import Figure
 from magcal_ros.core.geometry import interpolated, wrap_angle
-from magcal_ros.core.heading import CompassReading
 from magcal_ros.core.samples import ImuSample
 
 QUIET = replace(ROBOT, noise_field=0.02e-6)
@@ -144,7 +143,7 @@ def test_the_latency_that_a_turn_found_is_corrected(seconds):
 def test_the_published_field_is_the_measured_one():
     scene = turn_to_both_sides(Late(0.08, 0.08))
     sample = scene.past[1000]
-    reading = CompassReading.of(scene.fusing.compass, sample, scene.fusing.follower, 0.2)
+    reading = scene.fusing.reader.read(scene.fusing.compass, sample)
     assert reading.measured == scene.fusing.compass.correct(sample.field)
 
 

@@ -10,7 +10,7 @@ from sample_results import EVIDENCE
 
 from magcal_ros.core import Calibration, Compass, Correction
 from magcal_ros.core.geometry import wrapped
-from magcal_ros.core.heading import PATIENCE, CompassReading, FusedYaw, SeveralCompasses
+from magcal_ros.core.heading import PATIENCE, CompassReader, FusedYaw, SeveralCompasses
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up import UpFollower
@@ -65,9 +65,7 @@ class Scene:
         self.imu = sample
         self.up.add(sample)
         if self.fused is not None:
-            up, follower = self.up.at(sample.stamp, 0.0), self.up
-            rates = follower.mean_rate, follower.gyro_bias, follower.is_at_rest
-            self.fused.propagate(sample.stamp, up, *rates)
+            self.fused.propagate_by(sample.stamp, self.up)
 
     def on_field(self, sample):
         body = np.linalg.solve(ROBOT.distortion, np.array(sample.field) - ROBOT.hard_iron)
@@ -82,11 +80,11 @@ class Scene:
             self.take(number, FieldSample(stamp, tuple(raw)))
 
     def take(self, number, sample):
-        moment = CompassReading.of(self.compasses[number], sample, self.up, 0.2)
+        moment = CompassReader(self.up).read(self.compasses[number], sample)
         joined = self.several.add(number, moment, self.imu.stamp, self.fused)
         if joined is not None and joined.heading is not None:
             if self.fused is not None:
-                self.fused.correct(joined.stamp, joined.field, joined.up, joined.heading)
+                self.fused.correct(joined)
             heading = joined.heading
             off = wrapped(heading.yaw - self.ride.magnetic_yaw)
             self.rows.append((joined.stamp, off, math.sqrt(heading.yaw_variance)))
@@ -139,7 +137,7 @@ def test_a_single_magnetometer_gives_its_own_heading():
     compass = Compass(calibration(ROBOTS[1]))
     scene.run(1.0)
     sample = FieldSample(scene.imu.stamp, (2e-5, 1e-5, 3e-5))
-    moment = CompassReading.of(compass, sample, scene.up, 0.2)
+    moment = CompassReader(scene.up).read(compass, sample)
     joined = scene.several.add(1, moment, scene.imu.stamp, scene.fused)
     assert np.allclose(joined.field, moment.field, atol=1e-12)
     assert joined.heading.yaw_variance == pytest.approx(moment.heading.yaw_variance)

@@ -20,7 +20,9 @@ def test_rests_show_the_random_walk_of_the_bias_and_whether_the_robot_stands(wal
         bias += walk * math.sqrt(30.0) * rng.standard_normal()
         shown = bias + math.hypot(noise, turn) * rng.standard_normal()
         loss.walk_variance = 3e-5
-        loss.add_rest(30.0 * k, shown, noise**2)
+        # A rest, which is used when it ends.
+        loss.add_rest(30.0 * k, (shown, noise**2))
+        assert loss.add_rest(30.0 * k, None) == pytest.approx((shown, noise**2))
     if not turn:
         assert walk / 2.0 < math.sqrt(loss.walked) < 2.0 * walk
     assert math.sqrt(loss.rest_turn) == pytest.approx(turn, rel=0.5, abs=1e-4)
@@ -32,12 +34,14 @@ def test_headings_show_the_correlation_time_of_their_errors(lasts):
     rng, loss, sigma, wrong = np.random.default_rng(4), GyroDrift(), math.radians(1.0), 0.0
     loss.begin(0.0, 1e-6)
     kept = math.exp(-2.0 / lasts) if lasts else 0.0
+    assert loss.add_heading(-2.0, 0.0, sigma**2, math.inf)
     # Of ten headings with errors of their own the mean is taken.
     new = sigma * math.sqrt(1.0 - kept**2 if lasts else 0.1)
     for k in range(150):
         wrong = kept * wrong + new * rng.standard_normal()
         loss.walk_variance = 2e-6
-        loss.add_heading(2.0 * k, wrong, sigma**2, 10)
+        used = [loss.add_heading(2.0 * k - 0.2 * j, wrong, sigma**2, 0.2) for j in range(9, -1, -1)]
+        assert used == [False] * 9 + [True]
     if lasts:
         assert 8.0 < loss.heading_error_time < 50.0
     else:
