@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
@@ -23,15 +24,14 @@ from magcal_ros.core.geometry.attitude import (
     yaw_rate,
 )
 from magcal_ros.core.geometry.shapes import Circle
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motor_inputs import MotionDetector
+from magcal_ros.core.heading.compass import Compass, CompassReader, CompassReading
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.battery import newest_at
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.gyro_swing import SWING, without_gyro_errors
-from magcal_ros.core.up.follower import UpFollower, propagated_up
+from magcal_ros.core.up.follower import Up, UpFollower, propagated_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class CorrectedTurn:
     circle: FloatArray
     """The estimated reference field in a full turn, body axes, tesla. Shape (m, 3)."""
     yaw: FloatArray  # magnetic ENU yaw, radians. Shape (n,).
-    sigma: FloatArray  # sigma of the yaw as published by the node, radians. Shape (n,).
+    sigma: FloatArray  # sigma of the yaw as a node publishes it after a rest, radians. Shape (n,).
     reference: FloatArray  # yaw by the gyro, or the smoothed compass, radians. Shape (n,).
     radial: FloatArray
     axial: FloatArray
@@ -110,7 +110,10 @@ class Turn:
     @classmethod
     def of(cls, subject: Subject) -> Turn:
         """Compute the contents of the pictures for a subject."""
-        window, estimate = subject.window, subject.outcome.estimate
+        window, outcome = subject.window, subject.outcome
+        estimate, calibration = outcome.estimate, outcome.calibration
+        if estimate is not None and calibration is None:
+            calibration = Calibration.from_estimate(estimate, outcome.verdict.evidence(estimate))
         field = window.field @ subject.knowledge.mounting.to_body.T
         up = unit(window.specific_force)
         # The node uses the up vector propagated by the gyro, so the comparison does, too.
@@ -120,16 +123,18 @@ class Turn:
         if window.field.any() and window.specific_force.any():
             progress = yaw_progress(window.time, field, window.specific_force, rate)
         if rate is not None and len(window) > 1:
-            gyro = integral(window.time, yaw_rate(rate, level))
+            scale = calibration.evidence.figure(Figure.GYRO_SCALE, 0.0) if calibration else 0.0
+            gyro = (1.0 - scale) * integral(window.time, yaw_rate(rate, level))
         inliers = np.ones(len(window), dtype=np.bool_)
-        if estimate is not None:
+        if estimate is not None and calibration is not None:
             inliers = np.asarray(estimate.inliers)
-            corrected = _correct(subject, estimate, level, gyro)
+            readings = list(_readings(calibration, window, level))
+            corrected = _correct(window.time, estimate, readings, level, gyro)
         angle = gyro
         if angle is None and corrected is not None:
             angle = np.asarray(corrected.reference - corrected.reference[0])
         compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
-        checks = subject.outcome.verdict.checks
+        checks = outcome.verdict.checks
         bounds = (check.bound for check in checks if check.figure in compared)
         return cls(
             time=np.asarray(window.time - window.time[0]) if len(window) else window.time,
@@ -161,15 +166,15 @@ class Turn:
 
 
 def _correct(
-    subject: Subject, estimate: Estimate, up: FloatArray, gyro: FloatArray | None
+    time: FloatArray,
+    estimate: Estimate,
+    readings: Sequence[CompassReading],
+    up: FloatArray,
+    gyro: FloatArray | None,
 ) -> CorrectedTurn:
-    window = subject.window
-    calibration = subject.outcome.calibration
-    if calibration is None:
-        calibration = Calibration.from_estimate(
-            estimate, subject.outcome.verdict.evidence(estimate)
-        )
-    field, sigma = _published(calibration, window, up)
+    field = np.array([each.field for each in readings]).reshape(-1, 3)
+    headings = (each.heading for each in readings)
+    sigma = [math.sqrt(each.yaw_variance) if each else math.nan for each in headings]
     yaw = yaw_from_up_and_field(up, field)
     residual = estimate.residual @ estimate.correction.matrix.T
     axial = residual @ estimate.axis
@@ -180,8 +185,8 @@ def _correct(
         field=field,
         circle=_ideal_circle(estimate, up, field),
         yaw=yaw,
-        sigma=sigma,
-        reference=_reference(window.time, yaw, gyro, np.asarray(estimate.inliers)),
+        sigma=np.array(sigma),
+        reference=_reference(time, yaw, gyro, np.asarray(estimate.inliers)),
         radial=np.einsum("ni,ni->n", residual, outward),
         axial=np.asarray(axial),
     )
@@ -199,36 +204,22 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
     return circle.at(np.linspace(0.0, math.tau, 121))
 
 
-def _published(
-    calibration: Calibration, window: Window, up: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the field (n, 3), tesla, and the yaw's sigma (n,), radians, as in the node.
-
-    The field of the motors is subtracted if it is known.
-    """
-    compass, follower, sense = Compass(calibration), UpFollower(), MotionDetector()
-    rate = window.angular_rate
-    rates = np.full(window.field.shape, math.nan) if rate is None else rate
-    currents = np.full(len(window), math.nan)
-    if window.battery is not None:
-        currents = np.interp(window.time, window.battery.time, window.battery.current)
-    rows = (window.time, window.field, window.specific_force, rates, up, currents)
-    fields, sigmas = list[Triple](), list[float]()
-    for stamp, raw, force, turn, upwards, current in zip(
-        *(each.tolist() for each in rows), strict=True
-    ):
-        motor_state = sense.newest
-        if calibration.motors is not None:
-            follower.add(ImuSample(stamp, force, turn))
-            follower.add_field(stamp, raw)
-            turn = follower.rate if follower.is_propagated else None
-            still, reference = follower.is_at_rest, calibration.motors.reference
-            motor_state = sense.at(stamp, turn, still, math.nan, current, reference)
-        field, motors = compass.at_rest(stamp, raw, turn, motor_state)
-        heading = compass.heading(field, upwards, motors=motors)
-        fields.append(field)
-        sigmas.append(math.nan if heading is None else math.sqrt(heading.yaw_variance))
-    return np.array(fields).reshape(-1, 3), np.array(sigmas)
+def _readings(calibration: Calibration, window: Window, up: FloatArray) -> Iterator[CompassReading]:
+    """Yield the samples as the node reads them, if it has run before: with `up` (n, 3)."""
+    compass, follower, battery = Compass(calibration), UpFollower(), window.battery
+    reader = CompassReader(follower)
+    unknown = np.full(window.field.shape, math.nan)
+    rates = unknown if window.angular_rate is None else window.angular_rate
+    speeds = unknown[:, 0] if window.speed is None else window.speed
+    messages = () if battery is None else np.column_stack([battery.time, battery.current])
+    currents = list(map(tuple, messages))
+    rows = (window.time, window.field, window.specific_force, rates, speeds, up)
+    for stamp, raw, force, rate, speed, settled in zip(*(n.tolist() for n in rows), strict=True):
+        follower.add(ImuSample(stamp, force, rate))
+        follower.add_field(stamp, raw)
+        inputs = speed, newest_at(currents, stamp)
+        known = Up(settled, calibration.noise_up**2)
+        yield reader.read(compass, FieldSample(stamp, raw), *inputs, up=known)
 
 
 def _reference(
