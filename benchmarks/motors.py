@@ -168,7 +168,7 @@ def headings(
                 current, waiting = float(waiting[1]), next(battery, None)
             up.add_field(sample.stamp, sample.field)
             if learning is not None and up.rate is not None:
-                now = reader.motor_state(sample.stamp, compass.motors, speed, current)
+                now = reader.motor_state(sample.stamp, compass, speed, current)
                 learning.add(sample.stamp, sample.field, up.rate, now)
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp

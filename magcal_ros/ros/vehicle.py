@@ -290,7 +290,7 @@ class Motors:
         if rate is None and compass.motors is None:
             return sample
         inputs = self.inputs(sample.stamp)
-        motor_state = self.reader.motor_state(sample.stamp, compass.motors, *inputs)
+        motor_state = self.reader.motor_state(sample.stamp, compass, *inputs)
         if rate is not None:
             if self._learning is None:
                 known = replace(compass.calibration, motors=compass.motors)

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fusing import CALIBRATED, Fusing
+from moving import Course
 from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
@@ -15,10 +17,11 @@ from magcal_ros.core.calibrate import predicted_sigma
 from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.doctor import examine_window
 from magcal_ros.core.geometry import exp_rotation, rotation_from_rpy
+from magcal_ros.core.heading import BaseHeading, MotionDetector
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.methods import known_headings
 from magcal_ros.core.monitoring import recheck
-from magcal_ros.core.samples import log_of
+from magcal_ros.core.samples import ImuSample, log_of
 from magcal_ros.core.self_calibration import DriveJob, examine_drive
 from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother import KnownHeadingMeasurement
@@ -149,6 +152,48 @@ def test_a_check_of_a_calibration_says_the_same(flat):
     found = recheck.check(turned(fresh, pose), outcome.calibration)
     assert found.state == expected.state != "holds"
     assert found.verdict.summary == expected.verdict.summary
+
+
+def seen_by(pose, sample):
+    """Return a message of sensors at a pose."""
+    if isinstance(sample, ImuSample):
+        force, rate = (tuple(pose @ each) for each in (sample.force, sample.rate))
+        return sample._replace(force=force, rate=rate)
+    return sample._replace(field=tuple(pose @ sample.field))
+
+
+def fused_yaw(pose):
+    """Return the fused yaw of the base, with its sigma, during a ride."""
+    there = replace(CALIBRATED.in_axes(pose), upward=pose[:, 2])
+    matrix = there.correction.matrix @ pose.T
+    hard_iron = pose @ there.correction.hard_iron
+    fusing = Fusing(replace(there, correction=Correction(matrix, hard_iron)))
+    base, found = BaseHeading(pose.T), []
+
+    def listen(sample, ride):
+        count = len(fusing.found)
+        fusing(seen_by(pose, sample), ride)
+        if len(fusing.found) > count:
+            heading = base.heading(fusing.fused.heading())
+            found.append((heading.yaw, math.sqrt(heading.yaw_variance)))
+
+    course = Course(listen)
+    course.go(5.0)
+    course.circle(15.0, rate=0.4, speed=2.0)
+    course.go(5.0, yaw_rate=-0.5)
+    return np.unwrap(np.array(found), axis=0)
+
+
+@pytest.mark.parametrize("tilt", TILTS)
+def test_the_fused_yaw_of_the_base_is_the_same(tilt):
+    """Also if the IMU's x points up, so that its own yaw is not defined."""
+    expected = fused_yaw(np.eye(3))
+    assert fused_yaw(exp_rotation(np.array([*tilt, 0.0]))) == pytest.approx(expected, abs=1e-4)
+
+
+def test_motors_turn_about_the_top_of_the_vehicle():
+    state = MotionDetector().at(0.0, (0.0, 0.8, 0.1), False, 0.0, 0.0, upward=(0.0, 1.0, 0.0))
+    assert state.turn_rate == pytest.approx(0.8)
 
 
 def test_the_doctor_finds_the_same(flat):

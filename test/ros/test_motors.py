@@ -12,6 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu
 from support import PATIENCE, REFERENCE
 
+from magcal_ros.core import Compass
 from magcal_ros.core.calibration import MotorField, MotorInput
 from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.samples import FieldSample
@@ -98,13 +99,17 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
     assert reported["moving"]["field_ut"] == [4.0, -3.0, 2.0]
     assert reported["moving"]["sigma_ut"] == pytest.approx(math.sqrt(3.0) * 0.5, abs=0.01)
     # Further magnetometers may have been calibrated at other currents.
-    known, now_running = (
-        read_calibration(with_motors)[0].motors,
+    calibration, now_running = (
+        read_calibration(with_motors)[0],
         graph.calibrators[0]._pipeline.motors,
     )
     stamp, state = actor.ride.stamp, now_running.reader.motor_state
     inputs = now_running.inputs(stamp)
-    found = [state(stamp, replace(known, reference=a), *inputs).current for a in (0.5, 2.0)]
+    compasses = [
+        Compass(replace(calibration, motors=replace(calibration.motors, reference=amperes)))
+        for amperes in (0.5, 2.0)
+    ]
+    found = [state(stamp, each, *inputs).current for each in compasses]
     assert found == [2.5, 1.0]
     # Another calibration keeps the inputs of the motors.
     loaded = actor.answer(actor.call("load"))

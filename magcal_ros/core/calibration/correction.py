@@ -103,7 +103,7 @@ class MotorState(NamedTuple):
     """Values of the motors' inputs at a moment."""
 
     moving: float = 0.0  # probability that the robot moves
-    turn_rate: float = 0.0  # rad/s about the body's z; NaN if unknown, like the following ones
+    turn_rate: float = 0.0  # rad/s about `Mounting.upward`; NaN if unknown, like the following ones
     speed: float = 0.0  # m/s, negative backwards
     current: float = 0.0  # amperes beyond `MotorField.reference`, of a constant sign convention
     side: float = 0.0  # one in a turn to the left, minus one to the right, between at low rates

@@ -115,6 +115,8 @@ class Compass:
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
         self._local = local**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
+        x, y, z = calibration.upward.tolist()
+        self.upward: Triple = (x, y, z)
         self.latency = calibration.evidence.figure(Figure.LATENCY, 0.0)
         """Seconds by which the stamps of the field are late, against those of the gyro."""
         self.use_motors(calibration.motors)
@@ -265,12 +267,13 @@ class CompassReader:
         self._follower, self.detector = follower, MotionDetector()
 
     def motor_state(
-        self, stamp: float, motors: MotorField | None, speed: float, current: float
+        self, stamp: float, compass: Compass, speed: float, current: float
     ) -> MotorState:
-        """Return the state of the motors; `motors` have the reference of the current."""
+        """Return the state of the motors, with the current beyond the compass's reference."""
         still, rate = self._follower.is_at_rest, self._follower.rate
-        reference = math.nan if motors is None else motors.reference
-        return self.detector.at(stamp, rate, still, speed, current, reference)
+        reference = math.nan if compass.motors is None else compass.motors.reference
+        inputs = speed, current, reference, compass.upward
+        return self.detector.at(stamp, rate, still, *inputs)
 
     def read(
         self,
@@ -293,7 +296,7 @@ class CompassReader:
         up, rate = up or follower.at(stamp, max_gap), follower.rate
         measured, motors = compass.correct(sample.field), None
         if compass.motors is not None:
-            state = self.motor_state(stamp, compass.motors, speed, current)
+            state = self.motor_state(stamp, compass, speed, current)
             measured, motors = compass.at_rest(stamp, sample.field, rate, state)
         field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:

@@ -29,6 +29,7 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     scaled,
 )
+from magcal_ros.core.heading.base_heading import BaseHeading
 from magcal_ros.core.heading.compass import CompassReading, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import FieldDeviation, FieldJump, FieldUse, LevelField
 from magcal_ros.core.heading.heading_tuning import FUSION, PLACE_FIELD
@@ -40,7 +41,7 @@ from magcal_ros.core.heading.yaw_filter import (
     YawFilter,
     errors_of,
 )
-from magcal_ros.core.knowledge import CLEAR, UNKNOWN_YAW
+from magcal_ros.core.knowledge import CLEAR, UNKNOWN_YAW, level_rotation
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import enclosing
 from magcal_ros.core.up.filter import GYRO
@@ -75,6 +76,8 @@ class FusedYaw:
 
     def _measure_by(self, calibration: Calibration, patience: float) -> None:
         self.detector = FieldDeviation(calibration, patience)
+        # The yaw of an x axis that points upwards is not defined; that of level axes is.
+        self._level = BaseHeading(level_rotation(calibration.upward))
         self._gyro_scale = calibration.evidence.figure(Figure.GYRO_SCALE, 0.0)
 
     def restart(self) -> None:
@@ -173,6 +176,7 @@ class FusedYaw:
         stamp, field, up, heading, *_ = reading
         if up is None or heading is None:
             return
+        heading = self._level.heading(heading)
         measured = levelled(field, up.direction)
         if measured is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return

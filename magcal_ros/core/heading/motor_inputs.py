@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.vec3 import Triple, length, minus
+from magcal_ros.core.geometry.vec3 import Triple, dot, length, minus
 from magcal_ros.core.heading.heading_tuning import MOTION
 
 MICROTESLA = 1e6
@@ -32,22 +32,30 @@ class MotionDetector:
         speed: float,
         current: float,
         reference: float = math.nan,
+        upward: Triple = (0.0, 0.0, 1.0),
     ) -> MotorState:
         """Return the inputs of the motors' field at a stamp, seconds.
 
         `rate` is without the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
         whether the IMU shows a rest or steady motion. `speed` and `current` are in m/s and amperes,
         NaN if unknown. The current is counted from `reference` (`MotorField.reference`), by default
-        from that at rest. Several calibrations may ask at one stamp.
+        from that at rest. `upward` is that of the mounting. Several calibrations may ask at one
+        stamp.
         """
         if stamp != self._stamp:
-            self.newest = self._inputs_at(stamp, rate, is_at_rest, speed, current)
+            self.newest = self._inputs_at(stamp, rate, is_at_rest, speed, current, upward)
         if math.isnan(reference):
             return self.newest
         return self.newest._replace(current=current - reference)
 
     def _inputs_at(
-        self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
+        self,
+        stamp: float,
+        rate: Triple | None,
+        is_at_rest: bool,
+        speed: float,
+        current: float,
+        upward: Triple,
     ) -> MotorState:
         """Return what the motors do at another stamp, and the current beyond that at rest."""
         seconds, self._stamp = stamp - self._stamp, stamp
@@ -63,7 +71,7 @@ class MotionDetector:
             # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
-        turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
+        turn_rate = math.nan if rate is None else dot(rate, upward) * float(moves is not False)
         return MotorState(
             0.5 if moves is None else float(moves),
             turn_rate,
