@@ -161,7 +161,10 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
 def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     """Return whether a sensor other than `name` measures a movement in the span, seconds."""
     if name != "gyro" and log.has_gyro:
-        size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
+        # The first rates are the bias of a robot at rest, unless it already turns.
+        first = np.median(log.rate[:50], axis=0)
+        turns = np.linalg.norm(first) > TURN.turns
+        size = np.linalg.norm(log.rate - np.where(turns, 0.0, first), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
         if inside.any() and float((size[inside] > TURN.turns).mean()) > HEALTH.moving:
             return True

@@ -10,7 +10,7 @@ from long_form import first_of
 from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import Leg
 from simulated.travel import travel
-from simulated.turns import measure, smooth_wobble, turn
+from simulated.turns import Motion, measure, smooth_wobble, turn
 
 from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
 from magcal_ros.core.doctor import (
@@ -21,6 +21,7 @@ from magcal_ros.core.doctor import (
     refusal_by_sensors,
     wrong_axes,
 )
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Mounting
 from magcal_ros.core.samples import ImuSample, SensorLog
 from magcal_ros.core.session import SampleCollector, fit_collected
@@ -205,3 +206,16 @@ def test_the_fit_by_other_axes_is_that_of_right_sensors(window):
         for each, which in ((right, right.as_given), (turned, k))
     )
     assert found == pytest.approx(expected, abs=0.5)
+
+
+def test_a_coarse_magnetometer_that_stops_on_its_way_is_not_frozen():
+    """The samples begin in motion, so the first rates are not the gyro's bias."""
+    time = np.arange(0.0, 24.0, 0.05)
+    yaw = np.cumsum(np.where(time % 6.0 < 3.0, 0.7, 0.0)) * 0.05
+    attitude = np.array([rotation_from_rpy(0.02, 0.01, each).T for each in yaw])
+    robot = Robot(noise_field=0.01e-6, noise_force=0.05, noise_rate=2e-3)
+    rng = np.random.default_rng(3)
+    fine = measure(robot, Motion(time, attitude), rng, gyro=True)
+    coarse = replace(fine, field=np.round(fine.field / 0.5e-6) * 0.5e-6)
+    assert wrong_axes(coarse, Knowledge()) is None
+    assert calibrate(coarse, robot.knowledge()).verdict.accepted
