@@ -89,7 +89,7 @@ class FusedYaw:
         self._shift = self._drift = self._seconds_unlearned = self._contradicted_seconds = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
-        self._is_at_rest = False
+        self._is_at_rest = self._rate_is_old = False
         self._corrected = self._start_stamp = self._heading_stamp = -math.inf
         self.last_heading_gap = 0.0  # last heading of another device minus the yaw, radians
         self.field_jump: FieldJump | None = None
@@ -105,6 +105,7 @@ class FusedYaw:
         if up is None or not follower.is_propagated:
             self.restart()
             return
+        self._rate_is_old = follower.rate_is_old
         self.propagate(stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
 
     def propagate(
@@ -204,9 +205,11 @@ class FusedYaw:
         seen = stamp, dot(field, measured), heading.yaw, yaw_gap + then.shift
         if self.field_jump is not None:
             self.field_jump.add(self._level_field(*seen), since / FUSION.moving_tau)
-        if self.detector.is_accepted:
+        is_ignored = self.detector.use is FieldUse.IGNORED
+        # A gyro that repeats its rate for long may be frozen: then the compass shows the turn.
+        if self.detector.is_accepted or (self._rate_is_old and not is_ignored):
             self._filter.add_variance(innovation**2)
-        elif self.detector.use is FieldUse.IGNORED:
+        elif is_ignored:
             self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.

@@ -147,6 +147,7 @@ class UpFollower:
         self._dead_axes = DeadAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
+        self._changed = [-math.inf] * 3  # stamps of the newest change of each axis' rate
         self.turned = 0.0
         """Turn about up by the gyro, radians, without rests and what the bias may explain."""
         self._turns = self._field = ZERO
@@ -171,6 +172,13 @@ class UpFollower:
     def rate(self) -> Triple | None:
         """The newest turn rate minus the gyro's bias, rad/s; None if up is not propagated."""
         return self._propagation.rate if self.is_propagated else None
+
+    @property
+    def rate_is_old(self) -> bool:
+        """Whether the gyro has repeated its rate about up for longer than it may be silent."""
+        x, y, z = map(abs, self.newest or ZERO)
+        axis = (x, y, z).index(max(x, y, z))
+        return self.newest_stamp - self._changed[axis] > STREAMS.longest_gyro_step
 
     @property
     def mean_rate(self) -> Triple:
@@ -225,6 +233,9 @@ class UpFollower:
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample
+        before = ZERO if last is None else last.rate
+        for axis in (k for k in range(3) if sample.rate[k] != before[k]):
+            self._changed[axis] = sample.stamp
         seconds = math.inf if last is None else sample.stamp - last.stamp
         force = scaled(sample.force, 1.0 / STANDARD_GRAVITY)
         if seconds <= 0.0:
@@ -236,7 +247,7 @@ class UpFollower:
         # Until dead axes are detected, up is rotated wrongly, so it starts again.
         follows = follows and propagation.tilt_is_hidden is was_hidden
         if rate is not None:
-            if follows and last is not None and has_gyro(last):
+            if follows and last is not None and self._has_gyro(last):
                 propagation.add(stamp, force, rate, seconds, measured)
             else:
                 propagation.begin(stamp, force, rate)
@@ -271,12 +282,21 @@ class UpFollower:
 
     def _whole_rate(self, sample: ImuSample, force: Triple) -> Triple | None:
         """Return the rate of a sample, None without one; if axes are dead, that about up."""
-        if not has_gyro(sample):
+        if not self._has_gyro(sample):
             return None
         self._dead_axes.add(sample.rate)
         if self.gyro_is_whole:
             return sample.rate
         return self._dead_axes.rate_about_up(sample.rate, self.newest or force)
+
+    def _has_gyro(self, sample: ImuSample) -> bool:
+        """Whether a sample has a possible turn rate, and not an empty field of the message.
+
+        Zeros are a rate if there were others before: a coarse gyro without a bias shows them at
+        rest.
+        """
+        size = length(sample.rate)
+        return size < LARGEST_RATE and (size > 0.0 or math.isfinite(max(self._changed)))
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
@@ -314,8 +334,3 @@ class UpFollower:
                 up = interpolate(up, after.up, since / span)
                 turns = interpolate(turns, after.turns, since / span)
         return _UpRecord(stamp, up, variance, turns)
-
-
-def has_gyro(sample: ImuSample) -> bool:
-    """Whether a sample has a possible turn rate, and not an empty field of the message."""
-    return 0.0 < length(sample.rate) < LARGEST_RATE

@@ -168,3 +168,52 @@ def test_a_field_without_noise_shows_a_large_bias_at_rest():
     course.go(20.0)
     assert scene.fused_ratios.max() < 2.0
     assert np.abs(scene.fusing.errors_deg()[-100:]).max() < 1.0
+
+
+class FrozenGyro(Fusing):
+    """Receives a gyro whose rates are rounded to a step, and repeated while it is told to."""
+
+    def __init__(self, step=0.0):
+        super().__init__()
+        self.step, self.is_frozen, self.rate = step, False, None
+
+    def __call__(self, sample, ride=None):
+        if isinstance(sample, ImuSample):
+            if self.rate is None or not self.is_frozen:
+                self.rate = sample.rate
+            if self.step:
+                self.rate = tuple(self.step * round(each / self.step) for each in self.rate)
+            sample = sample._replace(rate=self.rate)
+        super().__call__(sample, ride)
+
+
+@pytest.mark.parametrize("frozen_at", first_of([0.0, 0.3]))
+def test_with_a_frozen_gyro_the_fused_yaw_follows_the_compass(frozen_at):
+    """The yaw was up to 180° off, at a predicted error of 4°."""
+    fusing = FrozenGyro()
+    course = Course(fusing, seed=3)
+    course.go(10.0)
+    course.go(5.0, yaw_rate=frozen_at)
+    fusing.is_frozen = True
+    course.go(1.0, yaw_rate=frozen_at)
+    since = len(fusing.found)
+    for rate in (0.3, 0.0, -0.5, 0.0):
+        course.go(5.0, yaw_rate=rate)
+    errors, sigmas = fusing.errors_deg()[since:], fusing.sigmas_deg()[since:]
+    assert np.abs(errors).max() < 15.0
+    assert np.sqrt(np.mean(errors**2)) < 4.0
+    assert np.mean((errors / sigmas) ** 2) < 2.0
+
+
+def test_a_gyro_that_shows_zeros_at_rest_measures():
+    """A step of 1/16 °/s, as of a BNO055: the zeros were taken for an absent gyro."""
+    coarse, fine = FrozenGyro(math.radians(1.0 / 16.0)), Fusing()
+    robot = replace(ROBOT, gyro_bias=np.zeros(3), noise_rate=math.radians(0.02))
+    for fusing in (coarse, fine):
+        course = Course(fusing, robot=robot, seed=3)
+        course.go(5.0)
+        for rate in (0.6, 0.0, -0.3, 0.0):
+            course.go(5.0, yaw_rate=rate)
+    assert len(coarse.found) > 0.99 * len(fine.found)
+    assert np.abs(coarse.errors_deg()[1000:]).max() < 0.5
+    assert coarse.sigmas_deg()[1000:].max() < 1.2 * fine.sigmas_deg()[1000:].max()
