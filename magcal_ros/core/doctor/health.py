@@ -14,13 +14,13 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.samples_tuning import STREAMS
-from magcal_ros.core.samples.spikes import without_spikes
+from magcal_ros.core.samples.spikes import white_noise, without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
     likely_field_unit,
     slow_words,
 )
-from magcal_ros.core.samples.window import SensorLog, white_noise
+from magcal_ros.core.samples.window import SensorLog
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
 COMPARED = 4  # steps of the numbers below an extreme that are compared with it

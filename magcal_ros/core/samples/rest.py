@@ -25,6 +25,7 @@ from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.samples.samples_tuning import BIAS_AT_REST
+from magcal_ros.core.samples.spikes import spikes_replaced
 
 FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
 ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
@@ -87,14 +88,16 @@ def without_rests(
     an earlier rest; a rest among the rows has priority. Returns the rows of the turn, the rests,
     and the sigma (rad/s) of the known bias if it was subtracted; else infinity.
     """
-    time, field, rate = rows[:, 0], rows[:, FIELD], _mean_rates(rows)
+    steady = rows.copy()
+    steady[:, FIELD] = spikes_replaced(rows[:, FIELD])
+    time, field, rate = rows[:, 0], steady[:, FIELD], _mean_rates(rows)
     has_gyro = bool(np.isfinite(rate).all())
     first, end, bias = rests_around(time, field, rate if has_gyro else None)
     if end - first < BIAS_AT_REST.fewest:
         first, end = 0, len(rows)
     # In a long, thinned recording a rest may end long before the turn's first row, and is not used.
-    before = rows[:first][time[:first] > time[first] - BIAS_AT_REST.longest]
-    after = rows[end:][time[end:] < time[end - 1] + BIAS_AT_REST.longest]
+    before = steady[:first][time[:first] > time[first] - BIAS_AT_REST.longest]
+    after = steady[end:][time[end:] < time[end - 1] + BIAS_AT_REST.longest]
     rests = [_rest(before, before[-1], rows[first], has_gyro)] if len(before) else []
     rests += [_rest(after, after[0], rows[end - 1], has_gyro)] if len(after) else []
     sigma = math.inf
@@ -169,7 +172,7 @@ def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Longe
     if not len(time) or time[-1] - time[0] < BIAS_AT_REST.block * (BIAS_AT_REST.at_least + 1):
         return None
     # At rest the field shows no circle: its radius is assumed.
-    found = _steady(field, rate, _split(time), USUAL_LEVEL * usual_size(field))
+    found = _steady(spikes_replaced(field), rate, _split(time), USUAL_LEVEL * usual_size(field))
     if not found:
         return None
     longest = max(found, key=lambda each: each.end - each.first)

@@ -1,4 +1,4 @@
-"""Spikes: single samples that differ from their neighbours."""
+"""White noise of samples, and spikes: single samples that differ from their neighbours."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ import math
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.samples.window import white_noise
 
 NEIGHBOURS, SPIKE = 9, 4.5
 """Window of the median filter, samples, and deviation of a spike from the median, robust sigmas."""
+
+
+def white_noise(values: FloatArray) -> FloatArray:
+    """Return the noise of samples (n, 3) per axis, from fourth differences; zero if too few.
+
+    Sway adds little to fourth differences.
+    """
+    bends = np.diff(values, 4, axis=0)
+    if not len(bends):
+        return np.zeros(values.shape[1])
+    return np.asarray(np.median(np.abs(bends), axis=0) / 0.6745 / np.sqrt(70.0))
 
 
 def without_spikes(values: FloatArray) -> BoolArray:

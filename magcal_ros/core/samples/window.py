@@ -204,17 +204,6 @@ class Window:
         return Steps.straight(self.time, self.specific_force, rate)
 
 
-def white_noise(values: FloatArray) -> FloatArray:
-    """Return the noise of samples (n, 3) per axis, from fourth differences; zero if too few.
-
-    Sway adds little to fourth differences.
-    """
-    bends = np.diff(values, 4, axis=0)
-    if not len(bends):
-        return np.zeros(values.shape[1])
-    return np.asarray(np.median(np.abs(bends), axis=0) / 0.6745 / np.sqrt(70.0))
-
-
 def is_noiseless(rate: FloatArray) -> bool:
     """Return whether rates (n, 3) have no noise: an axis in a simulation may be constant."""
     changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]

@@ -20,8 +20,8 @@ from magcal_ros.core.geometry.arrays import (
 )
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import AttachedRest
-from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced
-from magcal_ros.core.samples.window import Window, white_noise, working_axes
+from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced, white_noise
+from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.unknowns import MICROTESLA
@@ -45,7 +45,7 @@ STILL_FIELD = 0.3
 class Spacing:
     """How samples are averaged to nodes."""
 
-    longest: float = 0.6  # seconds of a node
+    longest: float = 0.3  # seconds of a node; a rest of two nodes is detected
     most_turn: float = math.radians(6.0)  # radians that a robot turns during a node
     most_unseen: float = math.radians(0.1)
     """Rotation within a node that a low sample rate may miss, radians."""
@@ -221,7 +221,7 @@ def _without_spikes(window: Window, spacing: Spacing) -> FloatArray:
     is an outlier itself if one of them is a spike.
     """
     step = float(np.median(np.diff(window.time))) if len(window) > 1 else math.inf
-    is_fast = NEIGHBOURS * step <= spacing.longest
+    is_fast = NEIGHBOURS * step <= 2.0 * spacing.longest
     return spikes_replaced(window.field) if is_fast else window.field
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
+from magcal_ros.core import calibrate
 from magcal_ros.core.samples import COLUMNS, GyroAtRest, rest
 
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
@@ -93,3 +94,28 @@ def test_without_a_rest_the_bias_is_unknown():
     window = collected(driven(lambda time: 1.0 + 0.0 * time)[1])
     assert math.isinf(window.bias_sigma)
     assert math.isinf(window.take(np.arange(100)).bias_sigma)
+
+
+def test_spikes_of_the_field_hide_no_rest():
+    """Without the rests, a field of motors that run in the turn was taken for hard iron."""
+    moved = driven(evenly)[1]
+    rng = np.random.default_rng(3)
+    hit = rng.random(len(moved)) < 0.02
+    spikes = 15e-6 * rng.standard_normal(moved.field.shape) * hit[:, None]
+    clean, spiky = collected(moved), collected(replace(moved, field=moved.field + spikes))
+    for found, expected in zip(spiky.rests, clean.rests, strict=True):
+        assert found.seconds == pytest.approx(expected.seconds, abs=0.2)
+        np.testing.assert_allclose(found.field, expected.field, atol=0.1e-6)
+
+
+def test_rests_of_less_than_a_second_show_the_motors():
+    """The field of motors that run in the turn was taken for hard iron."""
+    moved = driven(evenly)[1]
+    inside = (moved.time > -0.7) & (moved.time < SECONDS + 0.7)
+    brief = moved.take(inside)
+    runs = (brief.time > 0.0) & (brief.time < SECONDS)
+    motors = np.array([6e-6, 6e-6, 0.0])
+    brief = replace(brief, field=brief.field + np.outer(runs, motors))
+    found = calibrate(collected(brief), replace(ROBOT.knowledge(), exact_sensors=False))
+    assert found.estimate.correction.hard_iron == pytest.approx(ROBOT.hard_iron, abs=1.5e-6)
+    assert found.estimate.motors is not None
