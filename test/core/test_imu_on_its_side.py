@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fusing import CALIBRATED, Fusing
+from long_form import first_of
 from moving import Course
 from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import city
@@ -29,7 +30,7 @@ from magcal_ros.core.smoother import KnownHeadingMeasurement
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 QUARTER = 0.5 * math.pi
 ON_SIDE = exp_rotation(np.array([QUARTER, 0.0, 0.0]))
-TILTS = [(QUARTER, 0.0), (0.0, QUARTER), (math.pi, 0.0)]
+TILTS = first_of([(0.0, QUARTER), (QUARTER, 0.0), (math.pi, 0.0)])
 """Of the IMU about x and y, radians."""
 
 
