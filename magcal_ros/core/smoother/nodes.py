@@ -45,7 +45,7 @@ STILL_FIELD = 0.3
 class Spacing:
     """How samples are averaged to nodes."""
 
-    longest: float = 0.3  # seconds of a node; a rest of two nodes is detected
+    longest: float = 0.6  # seconds of a node; half of them at the ends of a window
     most_turn: float = math.radians(6.0)  # radians that a robot turns during a node
     most_unseen: float = math.radians(0.1)
     """Rotation within a node that a low sample rate may miss, radians."""
@@ -221,7 +221,7 @@ def _without_spikes(window: Window, spacing: Spacing) -> FloatArray:
     is an outlier itself if one of them is a spike.
     """
     step = float(np.median(np.diff(window.time))) if len(window) > 1 else math.inf
-    is_fast = NEIGHBOURS * step <= 2.0 * spacing.longest
+    is_fast = NEIGHBOURS * step <= spacing.longest
     return spikes_replaced(window.field) if is_fast else window.field
 
 
@@ -231,7 +231,10 @@ def _first_rows(
     """Return the first row of each node."""
     turned = np.linalg.norm(steps, axis=1) / spacing.most_turn
     missed = np.sqrt(unseen.max(axis=1)) / spacing.most_unseen
-    worth = np.maximum.reduce([np.diff(time) / spacing.longest, turned, missed])
+    from_end = np.minimum(time - time[0], time[-1] - time)[:-1]
+    # A rest must last two nodes to be detected, and that beside a turn may be short.
+    longest = np.where(from_end < 2.0 * spacing.longest, 0.5, 1.0) * spacing.longest
+    worth = np.maximum.reduce([np.diff(time) / longest, turned, missed])
     clock = accumulated(worth)
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
     clock += accumulated(lost)
