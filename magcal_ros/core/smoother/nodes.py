@@ -45,10 +45,12 @@ STILL_FIELD = 0.3
 class Spacing:
     """How samples are averaged to nodes."""
 
-    longest: float = 0.6  # seconds of a node; half of them at the ends of a window
+    longest: float = 0.6  # seconds of a node
     most_turn: float = math.radians(6.0)  # radians that a robot turns during a node
     most_unseen: float = math.radians(0.1)
     """Rotation within a node that a low sample rate may miss, radians."""
+    short: float = 0.3
+    """Seconds of a node beside the ends of a window, where rests are short, and without a gyro."""
     most: int = 1000  # nodes; in longer windows all nodes become longer
 
 
@@ -233,7 +235,8 @@ def _first_rows(
     missed = np.sqrt(unseen.max(axis=1)) / spacing.most_unseen
     from_end = np.minimum(time - time[0], time[-1] - time)[:-1]
     # A rest must last two nodes to be detected, and that beside a turn may be short.
-    longest = np.where(from_end < 2.0 * spacing.longest, 0.5, 1.0) * spacing.longest
+    short = min(spacing.short, spacing.longest)
+    longest = np.where(from_end < 2.0 * spacing.longest, short, spacing.longest)
     worth = np.maximum.reduce([np.diff(time) / longest, turned, missed])
     clock = accumulated(worth)
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)

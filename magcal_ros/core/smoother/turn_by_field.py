@@ -51,9 +51,9 @@ RESTART = Tolerances(fewest=4)  # from the optimum of another kind of motion
 RANKING = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE, SWAY_SMOOTHED = 0.3, 0.1
-"""Seconds of a node at most, and those (one sigma) over which the force is averaged for the rate of
-the sway: a robot that sways may tilt by `Spacing.most_turn` (RMS) during a node."""
+SWAY_SMOOTHED = 0.1
+"""Seconds (one sigma) over which the force is averaged for the rate of the sway: a robot that sways
+may tilt by `Spacing.most_turn` (RMS) during a node."""
 ROOTS = 2  # starts that are iterated to the end
 RIVAL = 0.05  # probability from which another root is a rival
 DISTINCT = 0.05  # least distance of distinct solutions: radians, and hard iron over the field
@@ -80,7 +80,8 @@ def _longest(window: Window) -> float:
     """Return the duration of a node in which a robot sways by at most `Spacing.most_turn`, RMS."""
     up = unit(_smooth(window.time, window.specific_force, SWAY_SMOOTHED))
     rate = np.linalg.norm(np.gradient(up, window.time, axis=0), axis=1)
-    return min(NODE, Spacing().most_turn / max(math.sqrt(float(np.mean(rate**2))), 1e-9))
+    steady, spacing = math.sqrt(float(np.mean(rate**2))), Spacing()
+    return min(spacing.short, spacing.most_turn / max(steady, 1e-9))
 
 
 def _smooth(time: FloatArray, values: FloatArray, seconds: float) -> FloatArray:
