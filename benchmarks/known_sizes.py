@@ -2,8 +2,8 @@
 [--robots N] [--first N]`.
 
 The simulated robots have typical sensors. An estimator usually finds the sizes of their errors with
-the errors themselves; here it is given the sizes with which the simulator draws them. What remains
-cannot be avoided by better priors.
+the errors themselves; here it is given the sizes with which the simulator draws them, and that the
+field is the same all along the circle. Sizes of the other noises are estimated in both cases.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from magcal_ros.core.methods.smoother import estimate_of, smoothed
 from magcal_ros.core.smoother import AT, kinds_of_motion
 from magcal_ros.core.smoother.priors import Priors, priors_of
 
-SCATTER = 1.27  # root mean square of the factors, half to double, that the simulator draws
+SCATTER = math.exp(0.6**2)
+"""Root mean square of the factors, half to double, that the simulator draws."""
 TYPICAL = {
     "axes": 0.005,
     "soft_iron": 0.005,
@@ -40,6 +41,7 @@ TYPICAL = {
 }
 """Sizes of the typical errors of `realistic_robots`, in the units of the smoother."""
 ABSENT = {"force_moving": 1e-4, "shielding": 1e-4, "gradient": 1e-3}  # these robots have none
+UNIFORM = {"usual": 1e-3, "spread": 0.1}  # size of the local disturbance of a uniform field
 
 
 def priors_given(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
@@ -48,7 +50,9 @@ def priors_given(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     scale = usual.scale.copy()
     for name, size in ({k: SCATTER * v for k, v in TYPICAL.items()} | ABSENT).items():
         scale[AT[name]] = np.where(scale[AT[name]] > 0.0, size, 0.0)
-    return replace(usual, scale=scale, spread=dict.fromkeys(usual.spread, 0.0))
+    local = {name: usual.sizes[name]._replace(**UNIFORM) for name in ("street", "revisited")}
+    sizes, fixed = {**usual.sizes, **local}, dict.fromkeys(usual.spread, 0.0)
+    return replace(usual, scale=scale, spread=fixed, sizes=sizes)
 
 
 @contextmanager
