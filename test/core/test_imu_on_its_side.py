@@ -27,6 +27,8 @@ from magcal_ros.core.self_calibration import DriveJob, examine_drive
 from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother import KnownHeadingMeasurement
 
+pytestmark = pytest.mark.usefixtures("right_axes", "one_fit")
+
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 QUARTER = 0.5 * math.pi
 ON_SIDE = exp_rotation(np.array([QUARTER, 0.0, 0.0]))
