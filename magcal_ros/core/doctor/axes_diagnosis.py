@@ -256,11 +256,12 @@ def diagnose_axes(
     suspects = {sensors: each for sensors, each in suspects.items() if len(sensors) == fewest}
     if gyro_is_half_dead and list(suspects) != [("gyro",)]:
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
-    # The model of the comparison is simple: some errors of right sensors resemble other axes.
-    asked = [given, *(each[0] for each in suspects.values())]
-    own, *others = (log_odds_of(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked)
-    if own > max(others):
-        return _all_agree(hypotheses, remains, knowledge, contrary)
+    if hypotheses.fit.rms[given] < AXES.good_fit:
+        # The model of the comparison is simple: some errors of right sensors resemble other axes.
+        asked = [given, *(each[0] for each in suspects.values())]
+        own, *others = (log_odds_of(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked)
+        if own > max(others):
+            return _all_agree(hypotheses, remains, knowledge, contrary)
     return _findings_on_axes(hypotheses, suspects, knowledge)
 
 

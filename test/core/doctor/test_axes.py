@@ -65,6 +65,7 @@ def test_a_turn_and_a_lift_determine_one_of_48_axes(which):
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(900)
 def test_a_turn_and_a_lift_nearly_always_determine_the_axes_and_never_wrongly():
     decided = []
     for number in range(4 * len(EVERY)):
