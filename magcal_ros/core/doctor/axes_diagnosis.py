@@ -260,7 +260,7 @@ def diagnose_axes(
         # The model of the comparison is simple: some errors of right sensors resemble other axes.
         asked = [given, *(each[0] for each in suspects.values())]
         own, *others = (log_odds_of(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked)
-        if own > max(others):
+        if 2.0 * (own - max(others)) > AXES.remains:
             return _all_agree(hypotheses, remains, knowledge, contrary)
     return _findings_on_axes(hypotheses, suspects, knowledge)
 
