@@ -43,22 +43,25 @@ class MotionDetector:
         stamp.
         """
         if stamp != self._stamp:
-            self.newest = self._inputs_at(stamp, rate, is_at_rest, speed, current, upward)
+            seconds, self._stamp = stamp - self._stamp, stamp
+            self._moves = self._motion_at(stamp, rate, is_at_rest, speed)
+            may_move = float(self._moves is not False)
+            turn_rate = math.nan if rate is None else dot(rate, upward) * may_move
+            self.newest = MotorState(
+                0.5 if self._moves is None else float(self._moves),
+                turn_rate,
+                speed * may_move,
+                self._beyond_rest(seconds, current),
+                max(-1.0, min(1.0, turn_rate / MOTION.rate)),
+            )
         if math.isnan(reference):
             return self.newest
         return self.newest._replace(current=current - reference)
 
-    def _inputs_at(
-        self,
-        stamp: float,
-        rate: Triple | None,
-        is_at_rest: bool,
-        speed: float,
-        current: float,
-        upward: Triple,
-    ) -> MotorState:
-        """Return what the motors do at another stamp, and the current beyond that at rest."""
-        seconds, self._stamp = stamp - self._stamp, stamp
+    def _motion_at(
+        self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float
+    ) -> bool | None:
+        """Return whether the robot moves, None if unknown, and note when that changes."""
         turns = 0.0 if rate is None else length(rate)
         drives = 0.0 if math.isnan(speed) else abs(speed)
         moves: bool | None = False if is_at_rest else None
@@ -70,15 +73,7 @@ class MotionDetector:
         if moves is not self._moves:
             # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
-            self._moves = moves
-        turn_rate = math.nan if rate is None else dot(rate, upward) * float(moves is not False)
-        return MotorState(
-            0.5 if moves is None else float(moves),
-            turn_rate,
-            speed * float(moves is not False),
-            self._beyond_rest(seconds, current),
-            max(-1.0, min(1.0, turn_rate / MOTION.rate)),
-        )
+        return moves
 
     def _beyond_rest(self, seconds: float, current: float) -> float:
         """Return a current minus that at rest, which is updated at rest."""
