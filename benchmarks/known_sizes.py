@@ -41,7 +41,8 @@ TYPICAL = {
 }
 """Sizes of the typical errors of `realistic_robots`, in the units of the smoother."""
 ABSENT = {"force_moving": 1e-4, "shielding": 1e-4, "gradient": 1e-3}  # these robots have none
-UNIFORM = {"usual": 1e-3, "spread": 0.1}  # size of the local disturbance of a uniform field
+UNIFORM, CERTAIN = 1e-3, 0.1
+"""Size of the local disturbance of a uniform field, µT, and the spread of its logarithm."""
 
 
 def priors_given(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
@@ -50,7 +51,10 @@ def priors_given(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     scale = usual.scale.copy()
     for name, size in ({k: SCATTER * v for k, v in TYPICAL.items()} | ABSENT).items():
         scale[AT[name]] = np.where(scale[AT[name]] > 0.0, size, 0.0)
-    local = {name: usual.sizes[name]._replace(**UNIFORM) for name in ("street", "revisited")}
+    local = {
+        name: usual.sizes[name]._replace(usual=UNIFORM, spread=CERTAIN)
+        for name in ("street", "revisited")
+    }
     sizes, fixed = {**usual.sizes, **local}, dict.fromkeys(usual.spread, 0.0)
     return replace(usual, scale=scale, spread=fixed, sizes=sizes)
 
