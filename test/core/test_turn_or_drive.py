@@ -9,8 +9,8 @@ from honesty_cases import draw_case
 from long_form import first_of
 from realistic_robots import by_turn, collected, drawn, motors, stop_and_go
 from realistic_robots import heading_error as turn_error
-from simulated.drive import random_vehicle
-from simulated.legs import circles, joined, standing
+from simulated.drive import Streets, random_vehicle
+from simulated.legs import circles, city, joined, standing
 from simulated.turns import measure, turn
 from smoother.streets import BOSTON, driven, heading_error
 
@@ -19,6 +19,8 @@ from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
+from magcal_ros.core.smoother import smooth
+from magcal_ros.core.smoother.unknowns import ON_WHEELS, SMALL_CIRCLE
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +74,19 @@ def test_a_large_gyro_bias_by_a_rest_does_no_harm(ringed):
     assert error < 2.0 * sigma
     assert sigma < 6.0
     assert error < 0.5 * heading_error(unknown.estimate.correction, robot)
+
+
+@pytest.mark.parametrize("seed", first_of([8, 2, 21]))
+def test_a_slow_drive_through_a_street_is_not_taken_for_a_turn_with_motors(seed):
+    """At walking pace only the local disturbance shows the way: in place it looks like motors."""
+    legs = city(np.random.default_rng(seed), 50.0, fastest=3.0)
+    vehicle = random_vehicle(np.random.default_rng(seed))
+    drive = driven(seed, legs=legs, vehicle=vehicle, streets=Streets(size=5e-6))
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    found = smooth(window, BOSTON)
+    assert found.mode in (SMALL_CIRCLE, ON_WHEELS)
+    error = heading_error(found.posterior.correction, vehicle.robot)
+    assert error < 2.0 * math.degrees(found.posterior.heading_sigma)
 
 
 WRONG = {"upside down": 144, "gyro axes": 880, "large installation": 417, "iron beside": 35}

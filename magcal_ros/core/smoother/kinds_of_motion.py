@@ -102,11 +102,6 @@ class _MotionFits:
         self.fits: dict[str, Fit] = {}
         self._impossible = False
 
-    @property
-    def gyro_is_whole(self) -> bool:
-        """Whether no axis of the gyro is dead."""
-        return all(self.nodes.working)
-
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
@@ -127,7 +122,7 @@ class _MotionFits:
         if spot is None or not gyro_is_usual(spot):
             return None
         # With dead axes, only a rest shows that a constant force is no centripetal acceleration.
-        return spot if self.gyro_is_whole or spot.point.course.still.any() else None
+        return spot if all(self.nodes.working) or spot.point.course.still.any() else None
 
     def add(
         self,
@@ -135,10 +130,13 @@ class _MotionFits:
         like: Fit | None = None,
         tolerances: Tolerances = Tolerances(),
         priors: Priors | None = None,
+        *,
+        ends_early: bool = True,
     ) -> None:
         """Fit one kind of motion, and keep the fit if it is the most likely one of its kind.
 
-        `priors` are those of this kind alone, if they differ from those of the others.
+        `priors` are those of this kind alone, if they differ from those of the others. With
+        `ends_early` the fit ends where it cannot come near the others.
         """
         done, self._started = self._started, self._started + 1
 
@@ -154,7 +152,8 @@ class _MotionFits:
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         known = self.fits.get(name)
         try:
-            found = fit(*start, tolerances, like, report, self._equal_weight(name))
+            rival = self._equal_weight(name) if ends_early else math.inf
+            found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
             return
         if not is_possible(found):
@@ -225,9 +224,10 @@ class _MotionFits:
     def in_other_ways(self, spot: Fit) -> None:
         """Fit a circle and a drive, too, although a turn on the spot explains the samples."""
         kinds = SMALL_CIRCLE, ON_WHEELS
-        # At the optimum on the spot, acceleration counts as tilt.
-        for name in kinds if may_drive(spot) or not self.gyro_is_whole else ():
-            self.add(name)
+        # At the optimum on the spot, acceleration counts as tilt. Without a rest, a fit comes near
+        # the others only once the places passed are known again, at its optimum.
+        for name in kinds if may_drive(spot) or not all(self.nodes.working) else ():
+            self.add(name, ends_early=bool(spot.point.course.still.any()))
         found = [spot, *(self.fits[name] for name in kinds if name in self.fits)]
         likeliest = min(found, key=lambda each: each.evidence)
         for name in kinds:
@@ -342,11 +342,12 @@ def expected_sigma(window: Window, knowledge: Knowledge) -> float:
 def may_drive(spot: Fit) -> bool:
     """Return whether a turn on the spot leaves open that the robot drove.
 
-    Without a rest, a constant force may be the centripetal acceleration of a circle. A noise of the
-    force beyond a sigma of its prior may be an acceleration that changes.
+    Without a rest, a constant force may be the centripetal acceleration of a circle. A noise beyond
+    a sigma of its prior may be an acceleration that changes, or the local disturbance on the way.
     """
-    noise = spot.model.priors.sizes["force"]
-    is_large = spot.point.sizes["force"] > noise.usual * math.exp(noise.spread)
+    usual = spot.model.priors.sizes
+    noises = [(spot.point.sizes[name], usual[name]) for name in ("force", "motors_noise")]
+    is_large = any(size > prior.usual * math.exp(prior.spread) for size, prior in noises)
     return is_large or not bool(spot.point.course.still.any())
 
 

@@ -22,7 +22,10 @@ REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a re
 NEAR_SHARE, NEAR_LENGTH = 0.3, 2.0
 """Share of the variance that is alike over a few metres only, and their number: in streets 20 to
 40% of it changes within 2 m."""
-CLOSEST = 0.25 * NEAR_LENGTH  # metres between centres, at least: fewer lose what a lap repeats
+CLOSEST = 0.375 * NEAR_LENGTH
+"""Metres between centres, at least. If it is larger, the field that each lap of a small circle
+repeats counts as noise; if it is smaller, small circles have denser centres than large ones, and
+count as too likely."""
 LEAST_REST = 0.003  # smallest share of the variance that is left to a node
 
 
