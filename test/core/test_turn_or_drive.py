@@ -19,8 +19,7 @@ from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.smoother import smooth
-from magcal_ros.core.smoother.unknowns import ON_WHEELS, SMALL_CIRCLE
+from magcal_ros.core.smoother import DRIVES, SMALL_CIRCLE, smooth
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +83,7 @@ def test_a_slow_drive_through_a_street_is_not_taken_for_a_turn_with_motors(seed)
     drive = driven(seed, legs=legs, vehicle=vehicle, streets=Streets(size=5e-6))
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     found = smooth(window, BOSTON)
-    assert found.mode in (SMALL_CIRCLE, ON_WHEELS)
+    assert found.mode in (SMALL_CIRCLE, *DRIVES)
     error = heading_error(found.posterior.correction, vehicle.robot)
     assert error < 2.0 * math.degrees(found.posterior.heading_sigma)
 
