@@ -77,7 +77,7 @@ def test_a_large_gyro_bias_by_a_rest_does_no_harm(ringed):
 
 @pytest.mark.parametrize("seed", first_of([8, 2, 21]))
 def test_a_slow_drive_through_a_street_is_not_taken_for_a_turn_with_motors(seed):
-    """At walking pace only the local disturbance shows the way: in place it looks like motors."""
+    """Slow motion causes no force that shows, and local disturbances look like motors."""
     legs = city(np.random.default_rng(seed), 50.0, fastest=3.0)
     vehicle = random_vehicle(np.random.default_rng(seed))
     drive = driven(seed, legs=legs, vehicle=vehicle, streets=Streets(size=5e-6))

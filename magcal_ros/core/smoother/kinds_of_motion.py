@@ -136,7 +136,7 @@ class _MotionFits:
         """Fit one kind of motion, and keep the fit if it is the most likely one of its kind.
 
         `priors` are those of this kind alone, if they differ from those of the others. With
-        `ends_early` the fit ends where it cannot come near the others.
+        `ends_early` the fit ends as soon as its evidence cannot come near that of the others.
         """
         done, self._started = self._started, self._started + 1
 
@@ -224,8 +224,8 @@ class _MotionFits:
     def in_other_ways(self, spot: Fit) -> None:
         """Fit a circle and a drive, too, although a turn on the spot explains the samples."""
         kinds = SMALL_CIRCLE, ON_WHEELS
-        # At the optimum on the spot, acceleration counts as tilt. Without a rest, a fit comes near
-        # the others only once the places passed are known again, at its optimum.
+        # At the optimum on the spot, acceleration counts as tilt. Without a rest, the path is known
+        # only at the optimum of a fit. Before, its evidence is too bad to compare it with others.
         for name in kinds if may_drive(spot) or not all(self.nodes.working) else ():
             self.add(name, ends_early=bool(spot.point.course.still.any()))
         found = [spot, *(self.fits[name] for name in kinds if name in self.fits)]
@@ -343,7 +343,8 @@ def may_drive(spot: Fit) -> bool:
     """Return whether a turn on the spot leaves open that the robot drove.
 
     Without a rest, a constant force may be the centripetal acceleration of a circle. A noise beyond
-    a sigma of its prior may be an acceleration that changes, or the local disturbance on the way.
+    a sigma of its prior may have another cause: that of the force an acceleration that changes,
+    that of the motors a local disturbance that changes from place to place.
     """
     usual = spot.model.priors.sizes
     noises = [(spot.point.sizes[name], usual[name]) for name in ("force", "motors_noise")]
