@@ -18,54 +18,73 @@ QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # A quarter turn to the left in t
 
 
 def acceleration(
-    course: Course, state: State, rate: FloatArray, swing: FloatArray, moving: FloatArray
-) -> Residuals:
-    """Return the specific force between nodes beyond gravity, m/s², in place of residuals.
+    course: Course,
+    state: State,
+    axes: FloatArray,
+    rate: FloatArray,
+    swing: FloatArray,
+    moving: FloatArray,
+) -> tuple[Residuals, FloatArray]:
+    """Return the specific force between nodes beyond gravity, in place of residuals.
+
+    The second value is the part of the velocity in level axes, shape (k, 2). Both are in m/s².
 
     A vehicle's velocity stays level while its body sways: its acceleration is computed in level
-    axes. The lever arm rotates with the body. `rate` and `swing` (k, 3) are turn rate and its
-    change, rad/s and rad/s²; `moving` (k,) is the fraction of the time in motion.
+    axes. The lever arm rotates with the body. `axes` (k, 3, 3) are the vehicle's axes in body axes.
+    `rate` and `swing` (k, 3) are turn rate and its change, rad/s and rad/s²; `moving` (k,) is the
+    fraction of the time in motion.
     """
     shared, seconds = state.shared, course.nodes.seconds[:, None]
-    level, up = course.axes[:, :2], course.axes[:, 2]
-    turning, velocity = (rate @ up)[:, None], state.local[:, VELOCITY]
+    level, up = axes[:, :, :2], axes[:, :, 2]
+    turning, velocity = np.sum(rate * up, axis=1)[:, None], state.local[:, VELOCITY]
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     spin, arm, share = skews(rate), shared[AT["lever_arm"]], moving[:, None]
     by_arm = spin @ spin + skews(swing)
     change = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
-    force = change @ level.T + by_arm @ arm
+    force = np.einsum("kij,kj->ki", level, change) + by_arm @ arm
     force += shared[AT["force_offset"]] + share * shared[AT["force_moving"]]
     bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
-    sideways = mean @ QUARTER.T @ level.T
+    sideways = np.einsum("kij,kj->ki", level, mean @ QUARTER.T)
     by = {
         "lever_arm": by_arm,
         "force_offset": np.eye(3),
         "force_moving": share[:, :, None] * np.eye(3),
-        "mounting_yaw": (change @ QUARTER.T @ level.T)[:, :, None],
+        "mounting_yaw": np.einsum("kij,kj->ki", level, change @ QUARTER.T)[:, :, None],
         # Of w x (w x r) and of the turning about up, with w = measured - bias.
-        "gyro_bias": skews(crossed(rate, arm)) + spin @ skew(arm) - sideways[:, :, None] * up,
+        "gyro_bias": skews(crossed(rate, arm))
+        + spin @ skew(arm)
+        - sideways[:, :, None] * up[:, None],
     }
     by_change = level / seconds[:, :, None]
-    return Residuals(force, [(VELOCITY, bend - by_change)], [(VELOCITY, bend + by_change)], by)
+    found = Residuals(force, [(VELOCITY, bend - by_change)], [(VELOCITY, bend + by_change)], by)
+    return found, change
 
 
 def force(course: Course, state: State) -> Residuals:
-    """Return the residuals of the specific force between nodes, m/s²."""
-    nodes = course.nodes
-    gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
+    """Return the residuals of the specific force between nodes, m/s².
+
+    Gravity and the acceleration of the vehicle rotate in the body as it sways.
+    """
+    nodes, axes = course.nodes, state.vehicle_axes
     # Half by the attitude of each end, so that a gyro error between them is no error of force.
     along, back = 0.5 * nodes.along, 0.5 * nodes.along @ np.swapaxes(nodes.turned, 1, 2)
     rate = nodes.link_rate - state.shared[AT["gyro_bias"]]
     swing = np.diff(nodes.rate, axis=0) / nodes.seconds[:, None]
     moving = 0.5 * (course.moving[1:] + course.moving[:-1])
-    found = acceleration(course, state, rate, swing, moving)
-    predicted = np.einsum("nij,nj->ni", along, gravity[:-1]) + found.residual
-    predicted += np.einsum("nij,nj->ni", back, gravity[1:])
+    between = along @ axes[:-1] + back @ axes[1:]
+    found, change = acceleration(course, state, between, rate, swing, moving)
+    predicted, by_attitude = found.residual, []
+    for rotation, end in ((along, axes[:-1]), (back, axes[1:])):
+        up = end[:, :, 2]
+        changes = np.einsum("kij,kj->ki", end[:, :, :2], change)
+        predicted = predicted + STANDARD_GRAVITY * np.einsum("kij,kj->ki", rotation, up)
+        # The level axes do not turn about up with the body.
+        across = np.eye(3) - up[:, :, None] * up[:, None]
+        swung = STANDARD_GRAVITY * skews(up) + skews(changes) @ across
+        by_attitude.append([(ATTITUDE, -rotation @ swung)])
+    node, later = by_attitude
     return Residuals(
-        nodes.force - predicted,
-        [(ATTITUDE, -along @ skews(gravity[:-1])), *found.node],
-        [(ATTITUDE, -back @ skews(gravity[1:])), *found.later],
-        found.shared,
+        nodes.force - predicted, [*node, *found.node], [*later, *found.later], found.shared
     )
 
 
@@ -133,7 +152,8 @@ def force_at_nodes(course: Course, state: State) -> Residuals:
     nodes, seconds = course.nodes, course.nodes.seconds[:, None]
     inside, up = nodes.inside[:-1], course.axes[:, 2]
     rate = nodes.rate[:-1] - state.shared[AT["gyro_bias"]]
-    found = acceleration(course, state, rate, np.zeros_like(rate), course.moving[:-1])
+    axes = np.broadcast_to(course.axes, (len(rate), 3, 3))
+    found, _ = acceleration(course, state, axes, rate, np.zeros_like(rate), course.moving[:-1])
     gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
     climb = np.diff(state.local[:, CLIMB], axis=0) / seconds
     predicted = np.einsum("nij,nj->ni", inside, gravity) + climb * up + found.residual

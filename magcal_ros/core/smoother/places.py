@@ -101,8 +101,9 @@ class Places:
 
 def dead_reckoned(course: Course, state: State) -> FloatArray:
     """Return the nodes' positions by dead reckoning, east and north, metres, shape (n, 2)."""
-    in_body = state.local[:, VELOCITY] @ course.axes[:, :2].T * course.moving[:, None]
-    velocity = np.einsum("nji,nj->ni", state.attitude, in_body)[:, :2]
+    velocity = state.local[:, VELOCITY] * course.moving[:, None]
+    to_world = np.swapaxes(state.attitude, 1, 2) @ state.vehicle_axes
+    velocity = np.einsum("nij,nj->ni", to_world[:, :2, :2], velocity)
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * course.nodes.seconds[:, None]
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 

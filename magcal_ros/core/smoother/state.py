@@ -10,11 +10,12 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
 from magcal_ros.core.smoother.nodes import Nodes
-from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED, STREET, Lengths
+from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, STREET, Lengths
 
 SECTORS = 12  # of heading
+UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,15 @@ class State:
         values[:, ATTITUDE] = 0.0
         centres = self.centres + shared[SHARED:].reshape(-1, 3)
         return State(turned, values, self.shared + shared[:SHARED], centres)
+
+    @property
+    def vehicle_axes(self) -> FloatArray:
+        """The vehicle's axes at the nodes: ahead, left and up in body axes, as columns, (n, 3, 3).
+
+        Up is the world's: the first two are level, however the body sways.
+        """
+        forward = rotation_about(UP, self.shared[AT["mounting_yaw"]])[0]
+        return np.asarray(level_axes(self.attitude[:, :, 2]) @ forward)
 
     @property
     def is_backward(self) -> bool:
