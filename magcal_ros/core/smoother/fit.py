@@ -176,11 +176,11 @@ def optimum(
         share = min(share_of(each, tolerances) for each in solutions)
         answer = np.concatenate([answer_of(*each) for each in zip(models, solutions, strict=True)])
         moved = float(np.abs(answer).max(initial=0.0))
-        converged = rounds > fewest and share == 1.0 and moved < tolerances.step
-        converged = converged and abs(cost - before) < tolerances.cost
-        if rounds == tolerances.rounds or (converged and is_current):
+        is_settled = rounds > fewest and share == 1.0 and moved < tolerances.step
+        converged = is_settled and is_current and abs(cost - before) < tolerances.cost
+        if rounds == tolerances.rounds or converged:
             break
-        if converged:
+        if is_settled and not is_current:
             # The path has changed since its places were found.
             points = [with_places(*each) for each in zip(models, points, strict=True)]
             is_current, before, damping = True, math.inf, Damping()
