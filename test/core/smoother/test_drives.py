@@ -305,6 +305,17 @@ def test_a_steady_circle_without_a_rest_has_a_correct_sigma(seed):
     assert error < 2.5 * math.degrees(found.posterior.heading_sigma) < 15.0
 
 
+@pytest.mark.parametrize("seed", first_of([60002, 60000, 60001]))
+def test_a_fast_circle_without_a_rest_is_not_taken_for_a_tilt(seed):
+    """Its acceleration rotates in the swaying body as gravity does: only the speed is lower."""
+    drive = driven(seed, legs=circles(60.0, speed=8.5, radius=21.0))
+    window = Window(*(each[250:] for each in (drive.time, drive.field, drive.force, drive.rate)))
+    found = smooth(window, BOSTON)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 2.0 * math.degrees(found.posterior.heading_sigma) < 8.0
+    assert np.median(found.fit.state.local[:, VELOCITY.start]) == pytest.approx(8.5, abs=0.5)
+
+
 PARKING = [
     *(Leg(6.0), Leg(3.0, 5.0), Leg(3.0, 5.0, 0.13), Leg(3.0, 3.0, 0.13), Leg(3.0, 4.0, 0.13)),
     *(Leg(4.0, 2.0, 0.13), Leg(3.0, 3.0), Leg(3.0), Leg(5.0)),
