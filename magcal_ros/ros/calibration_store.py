@@ -119,21 +119,21 @@ class CalibrationStore:
                 except (FileError, OSError, ValueError) as error:
                     lost = f" No backup of the previous calibration: {error}"
 
-            try:
-                path = self._path(frame)
-                content = (path, calibration, origin, keep if with_backup else None)
-                with_time_limit(lambda: write_calibration(*content), path, WRITE_WITHIN)
-            except FileError as error:
-                self.problem = str(error)
-                return f"In force, but not saved: {str(error).rstrip('.')}."
-            self.problem = ""
+            path = self._path(frame)
+            content = (path, calibration, origin, keep if with_backup else None)
+            with_time_limit(lambda: write_calibration(*content), path, WRITE_WITHIN)
             return f"In force and saved to {path}.{lost}"
 
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self.problem, words)),
-            lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
-        )
+        def done(words: str) -> None:
+            self.problem = ""
+            tell(Conclusion(True, words))
+
+        def failed(error: Exception) -> None:
+            why = in_words(error).rstrip(".")
+            self.problem = f"In force until the node ends, but not saved: {why}. Then call ~/save."
+            tell(Conclusion(False, self.problem))
+
+        self._files.run(work, done, failed)
 
     def load(self, tell: Tell) -> None:
         """Put the calibration in the file in force."""

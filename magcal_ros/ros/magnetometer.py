@@ -275,9 +275,7 @@ class Control:
                 case tm.PutInForce(calibration, gyro):
                     if gyro is not None:
                         self._pipeline.up.take_bias(gyro)
-                    # A failure to store it appears in the message only.
-                    saved = partial(self.tell, self.turn.note_saved)
-                    self._magnetometer.use(calibration, lambda done: saved(done.message))
+                    self._magnetometer.use(calibration, partial(self.tell, self.turn.note_saved))
                 case tm.Conclusion():
                     self._conclude(command)
         except Exception as error:  # any error: all waiting callers must be answered

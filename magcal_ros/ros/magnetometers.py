@@ -238,7 +238,7 @@ def of_turns(conclusions: Mapping[str, Conclusion]) -> Conclusion:
     if len(missing) in (0, len(conclusions)):
         return together
     names = " and ".join(missing)
-    words = f"this turn did not calibrate {names}: remove the cause below, and calibrate again"
+    words = f"{names}: not calibrated, or not saved; remove the cause below"
     return Conclusion(True, f"{words}. {together.message}")
 
 

@@ -48,8 +48,10 @@ def test_a_full_or_read_only_disk_keeps_the_old_file_and_is_reported(stage, smal
     )
     fill(small_disk)
     answer = actor.calibrate()
-    assert answer.success, answer.message
-    assert f"In force, but not saved: cannot write {path}: No space left" in answer.message
+    assert not answer.success
+    saved = f"In force until the node ends, but not saved: cannot write {path}: No space left"
+    assert answer.message.startswith(saved)
+    assert "Then call ~/save. Calibrated, " in answer.message
     assert path.read_bytes() == before
     actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws

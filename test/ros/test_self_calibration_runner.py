@@ -82,7 +82,7 @@ class TestInTheNode:
             for _ in range(3):
                 refused = robot.answer(robot.call("accept"))
                 assert not refused.success
-                assert "In force, but not saved" in refused.message
+                assert "In force until the node ends, but not saved" in refused.message
         assert path.read_bytes() == before
         assert not any(file.exists() for file in backup_files(path))
         for _ in range(4):

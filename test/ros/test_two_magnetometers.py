@@ -175,7 +175,7 @@ def test_a_magnetometer_that_stops_during_the_turn_does_not_affect_the_others(
 
     answer = robot.calibrate(follow)
     assert answer.success, answer.message
-    assert answer.message.startswith("this turn did not calibrate /imu/mag_2: ")
+    assert answer.message.startswith("/imu/mag_2: not calibrated, or not saved; ")
     assert "/imu/mag_2 has been silent" in answer.message
     assert f"saved to {ros_home / 'magcal' / 'calibrator.mag_link.yaml'}" in answer.message
     calibrated = {topic: entry["calibrated"] for topic, entry in entries(robot).items()}
@@ -189,7 +189,7 @@ def test_turns_succeed_if_one_of_them_does():
     assert not of_turns({"/a": bad, "/b": bad}).success
     for found in (of_turns({"/a": good, "/b": bad}), of_turns({"/b": bad, "/a": good})):
         assert found.success
-        assert found.message.startswith("this turn did not calibrate /b: ")
+        assert found.message.startswith("/b: not calibrated, or not saved; ")
         assert "/b: silent; nothing was seen" in found.message
         assert ".;" not in found.message
 

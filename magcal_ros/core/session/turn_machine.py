@@ -338,11 +338,14 @@ class TurnMachine:
             remedy = "~/accept puts the new one in force anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
 
-    def note_saved(self, words: str) -> None:
-        """Note whether the calibration in force is stored, in words."""
+    def note_saved(self, saved: Conclusion) -> None:
+        """Note whether the calibration in force is stored; only then is the turn a success."""
         stage = self._stage
         if isinstance(stage, Saving):
-            self._conclude(True, f"{stage.words} {words}{stage.report}")
+            words = (stage.words, saved.message)
+            # A failure comes first.
+            first, last = words if saved.success else words[::-1]
+            self._conclude(saved.success, f"{first} {last}{stage.report}")
 
     def cancel(self) -> Conclusion:
         """Cancel the turn."""

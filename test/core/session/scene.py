@@ -58,6 +58,7 @@ class Scene:
         self.mangle = lambda sample: sample
         self.listeners, self.is_allowed, self.is_guarded = 1, True, True
         self.command = self.rate = self.turned = self.farthest = self.swept = 0.0
+        self.saved = Conclusion(True, "In force and saved.")
         self.stated, self.concluded, self.asked, self.in_force = [], [], [], []
         self.fit_takes, self.preview_takes, self.saving_takes = 0.3, 0.2, 0.05
         self._later = []
@@ -85,7 +86,7 @@ class Scene:
                 self.stated.append((self.now, command.rate))
             elif isinstance(command, PutInForce):
                 self.in_force.append(command.calibration)
-                self.later(self.saving_takes, "note_saved", "In force and saved.")
+                self.later(self.saving_takes, "note_saved", self.saved)
             elif isinstance(command, FitTurn):
                 self.later(self.fit_takes, *self.fitted(command))
             elif isinstance(command, Preview):

@@ -10,7 +10,7 @@ from scene import BAD, GOOD, SHORT, Scene
 
 from magcal_ros.core.calibration import FittedGyroBias
 from magcal_ros.core.samples import ImuSample
-from magcal_ros.core.session import FitTurn, Preview, PutInForce, TurnState
+from magcal_ros.core.session import Conclusion, FitTurn, Preview, PutInForce, TurnState
 
 
 def asked_for(scene, kind):
@@ -37,6 +37,17 @@ def test_a_turn_is_fitted_put_in_force_stored_and_reported():
     assert GOOD.verdict.summary in conclusion.message
     assert scene.turn.state is TurnState.IDLE
     assert scene.turn.last_conclusion is conclusion
+
+
+def test_a_turn_that_is_not_saved_is_no_success_and_says_so_first():
+    scene = Scene()
+    scene.saved = Conclusion(False, "In force until the node ends, but not saved: no space.")
+    scene.open()
+    conclusion = scene.until_concluded(yaw_rate=0.5)
+    assert scene.in_force
+    assert not conclusion.success
+    words = f"{scene.saved.message} {GOOD.verdict.summary} Report: here."
+    assert conclusion.message == words
 
 
 def test_the_bias_of_the_gyro_comes_with_the_calibration():
