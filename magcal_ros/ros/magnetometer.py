@@ -182,7 +182,8 @@ class Control:
         self._owner, self._pipeline = magnetometer.owner, magnetometer.pipeline
         self._pairer = Pairer(self._streams)
         self._worker = WorkerProcess()
-        self.turn = tm.TurnMachine(robot, self._report)
+        store = magnetometer.store
+        self.turn = tm.TurnMachine(robot, self._report, lambda: store.calibration is not None)
         self._settings: Settings | None = None
         self._listeners: list[Tell] = []
         self._unreported: tm.Conclusion | None = None

@@ -112,21 +112,21 @@ Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 """An action for the owner of the state machine."""
 
 
-UNCHANGED = "the calibration in force is unchanged"
-
-
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
     `report` starts to write the report on a turn, and returns its location in words.
+    `is_calibrated` returns whether a calibration is in force.
     """
 
     def __init__(
         self,
         robot: SelfTurn | None = None,
         report: Callable[[Window, Outcome], str] = lambda _, __: "",
+        is_calibrated: Callable[[], bool] = lambda: False,
     ) -> None:
         self.robot, self._report = SelfTurn() if robot is None else robot, report
+        self._is_calibrated = is_calibrated
         self.progress: Progress | None = None  # of the newest turn, as the following attributes
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
@@ -255,7 +255,7 @@ class TurnMachine:
         if not isinstance(self._stage, Collecting):
             return
         if step.aborted:
-            self.abort(f"{step.aborted}; {UNCHANGED}")
+            self.abort(f"{step.aborted}; {self._unchanged}")
         elif step.ended:
             self._begin_fit(self._stage, step.ended, now)
 
@@ -314,6 +314,12 @@ class TurnMachine:
         if isinstance(self._stage, Fitting) and self._stage.asked is asked:
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
+    @property
+    def _unchanged(self) -> str:
+        """What a turn without a result leaves in force."""
+        is_any = self._is_calibrated()
+        return "the calibration in force is unchanged" if is_any else "no calibration is in force"
+
     def _judge(self, outcome: Outcome, why: str) -> None:
         """Put the calibration in force if it is accepted; otherwise name the remedy."""
         self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
@@ -327,7 +333,7 @@ class TurnMachine:
             words = f"{why}; {words}"
         report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""
-        unchanged = UNCHANGED[0].upper() + UNCHANGED[1:]
+        unchanged = self._unchanged.capitalize()
         if outcome.calibration is None:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
@@ -339,23 +345,20 @@ class TurnMachine:
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
 
     def note_saved(self, saved: Conclusion) -> None:
-        """Note whether the calibration in force is stored; only then is the turn a success."""
+        """Note whether the calibration in force is stored; if not, the answer begins with that."""
         stage = self._stage
         if isinstance(stage, Saving):
             words = (stage.words, saved.message)
-            # A failure comes first.
             first, last = words if saved.success else words[::-1]
             self._conclude(saved.success, f"{first} {last}{stage.report}")
 
     def cancel(self) -> Conclusion:
         """Cancel the turn."""
         if isinstance(self._stage, Saving):
-            words = "too late to cancel: the new calibration is in force already"
-            return Conclusion(False, words)
+            return Conclusion(False, "too late to cancel: the new calibration is in force already")
         if self._stage is None:
-            words = "nothing to cancel: no turn is being collected or fitted"
-            return Conclusion(False, words)
-        words = f"cancelled; {UNCHANGED}"
+            return Conclusion(False, "nothing to cancel: no turn is being collected or fitted")
+        words = f"cancelled; {self._unchanged}"
         self.abort(words)
         return Conclusion(True, words)
 
@@ -370,7 +373,7 @@ class TurnMachine:
         if changes and isinstance(self._stage, (Collecting, Fitting)):
             self.abort(
                 f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
-                f"again; {UNCHANGED}"
+                f"again; {self._unchanged}"
             )
 
     def abort(self, words: str, was_under_way: bool = False) -> None:

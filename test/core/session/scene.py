@@ -44,7 +44,8 @@ class Scene:
     def __init__(self, speed=None, gain=1.0, gyro=True, outcome=GOOD, sigma=0.001, **limits):
         self.now = 500.0
         self.gain, self.outcome, self.sigma = gain, outcome, sigma
-        self.turn = TurnMachine(SelfTurn("/imu", "/mag", "/cmd_vel"), lambda *_: "Report: here.")
+        robot, report = SelfTurn("/imu", "/mag", "/cmd_vel"), lambda *_: "Report: here."
+        self.turn = TurnMachine(robot, report, lambda: bool(self.in_force))
         self.ride = Ride(
             ROBOT,
             np.random.default_rng(3),

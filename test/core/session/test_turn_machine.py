@@ -59,13 +59,23 @@ def test_the_bias_of_the_gyro_comes_with_the_calibration():
 
 
 def test_a_refused_turn_keeps_the_calibration_in_force_and_names_the_remedy():
-    scene = turned_fully(outcome=SHORT)
-    conclusion = scene.until_concluded()
+    scene = Scene(outcome=SHORT)
+    before = scene.in_force = [GOOD.calibration]
+    scene.open()
+    conclusion = scene.until_concluded(yaw_rate=0.5)
     assert not conclusion.success
     assert "The calibration in force is unchanged; ~/accept" in conclusion.message
     assert "Report: here." in conclusion.message
-    assert not scene.in_force
+    assert scene.in_force == before
     assert scene.turn.last_outcome.verdict is SHORT.verdict
+
+
+def test_a_first_turn_without_a_result_says_that_no_calibration_is_in_force():
+    refused = turned_fully(outcome=SHORT).until_concluded()
+    assert "No calibration is in force; ~/accept" in refused.message
+    scene = Scene()
+    scene.open()
+    assert scene.tell("cancel").message == "cancelled; no calibration is in force"
 
 
 def test_a_turn_that_cannot_be_fitted_offers_nothing_to_accept():
