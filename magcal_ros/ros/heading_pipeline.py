@@ -17,6 +17,7 @@ from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.samples.samples_tuning import COMPLAINTS
 from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.samples.units import InputCounts, complaints
 from magcal_ros.core.session.turn_machine import TurnState
@@ -274,6 +275,8 @@ class HeadingPipeline:
         self.fused.on_field(reading)
         if reading.heading is not None:
             self.travel.estimator.add_yaw(reading.heading.yaw)
+            if self.headings.field_is_good:
+                self.up.add_yaw(reading.stamp, reading.heading.yaw)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
@@ -287,6 +290,16 @@ class HeadingPipeline:
             if store.calibration is not None and store.origin is not None
         ]
         return [each for each in [*found, self._against_imu()] if each]
+
+    def gyro_complaints(self) -> list[str]:
+        """Return that the gyro is frozen, with the remedy; empty if nothing shows it."""
+        turned = self.up.turned_unmeasured
+        words = (
+            f"{self.imu.topic} repeats one turn rate although the compass has turned by "
+            f"{math.degrees(turned):.0f}°: the gyro is frozen, and the yaw follows the compass "
+            "alone. Restart the driver of the IMU"
+        )
+        return [words] if turned > COMPLAINTS.frozen_turn else []
 
     def _against_imu(self) -> str:
         """Say that the calibration in force is of an IMU with another frame; else empty."""

@@ -223,6 +223,7 @@ class Calibrator(Node):
         outcome = self._control.turn.last_outcome
         complaints = [
             *self._inputs.complaints(),
+            *self._pipeline.gyro_complaints(),
             *self._frames.follow(self._up, outcome, self._travel.yaw),
             *self._travel.complaints,
             *self._known.antenna.complaints,

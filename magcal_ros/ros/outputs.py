@@ -136,6 +136,11 @@ class HeadingOutput:
         self.reading: CompassReading | None = None
         """Result of the newest field message with the calibration in force, None before it."""
 
+    @property
+    def field_is_good(self) -> bool:
+        """Whether strength and inclination of the newest field are the calibrated ones."""
+        return self._deviation is not None and self._deviation.use is FieldUse.GOOD
+
     def complaints(self, reference: ReferenceField) -> list[str]:
         """Return warnings for subscribers of the heading."""
         found = []

@@ -44,6 +44,7 @@ class Fusing:
             heading = reading.heading
             if heading:
                 self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
+                self.follower.add_yaw(sample.stamp, heading.yaw)
                 self.fused.correct(reading)
 
     def on_imu(self, sample, ride):

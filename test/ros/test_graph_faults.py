@@ -98,6 +98,33 @@ def test_another_sensor_is_reported_while_the_calibration_is_of_the_first(calibr
     assert message.isprintable()
 
 
+def test_a_frozen_gyro_is_named_until_it_measures_again(calibrated):
+    actor = calibrated
+    received, frozen = [], []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
+
+    def freeze(sample):
+        if isinstance(sample, ImuSample):
+            frozen.append(sample.rate)
+            sample = sample._replace(rate=frozen[0])
+        return [sample]
+
+    def inputs():
+        found = [each for each in received[-1].status if each.name.endswith(": Inputs")]
+        return found[0]
+
+    actor.mangle = freeze
+    actor.run(1.0)
+    words = "/imu/data_raw repeats one turn rate although the compass has turned by "
+    actor.run(PATIENCE, 0.5, stop=lambda: words in inputs().message)
+    assert words in inputs().message
+    assert inputs().level == DiagnosticStatus.ERROR
+    assert inputs().message.endswith("Restart the driver of the IMU")
+    actor.mangle = lambda sample: [sample]
+    actor.run(PATIENCE, stop=lambda: words not in inputs().message)
+    assert words not in inputs().message
+
+
 def test_another_imu_is_reported_while_the_calibration_is_of_the_first(calibrated):
     actor = calibrated
     received = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import FittedGyroBias
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit, wrapped
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     distance,
@@ -150,6 +150,10 @@ class UpFollower:
         self._changed = [-math.inf] * 3  # stamps of the newest change of each axis' rate
         self.turned = 0.0
         """Turn about up by the gyro, radians, without rests and what the bias may explain."""
+        self.turned_unmeasured = 0.0
+        """Largest turn of the compass against the gyro while the gyro repeats its rate, radians."""
+        self._compass = math.nan, math.nan  # stamp, s, and newest yaw, radians
+        self._unmeasured = 0.0
         self._turns = self._field = ZERO
         self._ups: deque[_UpRecord] = deque(maxlen=STREAMS.remembered)
 
@@ -270,6 +274,18 @@ class UpFollower:
             rate = dot(self.mean_rate, up)
             sure = max(0.0, abs(rate) - math.sqrt(self.gyro_bias.variance))
             self.turned += math.copysign(sure * seconds, rate)
+
+    def add_yaw(self, stamp: float, yaw: float) -> None:
+        """Take a yaw of the compass, ENU, radians: it shows whether the gyro is frozen."""
+        (before, old), self._compass = self._compass, (stamp, yaw)
+        last, up = self._last, self.newest
+        is_old = last is not None and self._has_gyro(last) and self.rate_is_old
+        if up is None or math.isnan(old) or not is_old:
+            self._unmeasured = self.turned_unmeasured = 0.0
+            return
+        measured = dot(self.turn_between(before, stamp), up)
+        self._unmeasured += wrapped(yaw - old - measured)
+        self.turned_unmeasured = max(self.turned_unmeasured, abs(self._unmeasured))
 
     def take_bias(self, fitted: FittedGyroBias) -> None:
         """Use the gyro's bias as the fit of a calibration found it.

@@ -199,6 +199,10 @@ def test_with_a_frozen_gyro_the_fused_yaw_follows_the_compass(frozen_at):
     since = len(fusing.found)
     for rate in (0.3, 0.0, -0.5, 0.0):
         course.go(5.0, yaw_rate=rate)
+    assert fusing.follower.turned_unmeasured > math.radians(60.0)
+    fusing.is_frozen = False
+    course.go(0.1)
+    assert fusing.follower.turned_unmeasured == 0.0
     errors, sigmas = fusing.errors_deg()[since:], fusing.sigmas_deg()[since:]
     assert np.abs(errors).max() < 15.0
     assert np.sqrt(np.mean(errors**2)) < 4.0
@@ -214,6 +218,7 @@ def test_a_gyro_that_shows_zeros_at_rest_measures():
         course.go(5.0)
         for rate in (0.6, 0.0, -0.3, 0.0):
             course.go(5.0, yaw_rate=rate)
+        assert fusing.follower.turned_unmeasured < math.radians(5.0)
     assert len(coarse.found) > 0.99 * len(fine.found)
     assert np.abs(coarse.errors_deg()[1000:]).max() < 0.5
     assert coarse.sigmas_deg()[1000:].max() < 1.2 * fine.sigmas_deg()[1000:].max()
