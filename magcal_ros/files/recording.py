@@ -158,6 +158,9 @@ def read_csv_folder(folder: Path) -> Recording:
 
 LONGEST_LINE = 10_000  # characters
 LATEST_STAMP = 2.0**33  # seconds, largest magnitude: the stamps of ROS end at a quarter of it
+SECOND = {"": 1.0, "s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
+"""One second in each unit of stamps."""
+NAME_UNIT = "name their unit in the header, as in t [ms]"
 
 
 def read_columns(
@@ -166,9 +169,9 @@ def read_columns(
     """Return the first of the `choices` whose columns a file has, and its table (n, columns).
 
     The file has a header line. Its columns may be in any order, and there may be others. The first
-    column of a choice holds the stamps, seconds.
+    column of a choice holds the stamps, returned in seconds; its header may name another unit.
     """
-    header = read_header(path)
+    header, units = zip(*_cells(path), strict=True)
     columns = next((each for each in choices if set(each) <= set(header)), None)
     if columns is None:
         missing = [name for name in choices[-1] if name not in header]
@@ -177,15 +180,23 @@ def read_columns(
             f"{path} has no column {', '.join(missing)}; its first line should be {lines_like}"
         )
     places = [header.index(name) for name in columns]
-    return columns, read_numbers(path, places, may_be_empty=may_be_empty)
+    unit = units[places[0]]
+    if unit not in SECOND:
+        raise FileError.of(path, f"has stamps in an unknown unit, {unit!r}: write s, ms, us or ns")
+    return columns, read_numbers(path, places, SECOND[unit], may_be_empty)
 
 
 def read_header(path: Path) -> list[str]:
     """Return the names in a file's first line, without units in square brackets."""
+    return [name for name, _ in _cells(path)]
+
+
+def _cells(path: Path) -> list[tuple[str, str]]:
+    """Return the names in a file's first line, each with the unit in square brackets, if any."""
     with _opened(path) as handle:
         first = next(_lines(handle), "")
-    cells = first.split(_separator(first))
-    return [cell.partition("[")[0].strip().strip('"') for cell in cells]
+    cells = (cell.strip().strip('"').partition("[") for cell in first.split(_separator(first)))
+    return [(name.strip(), unit.partition("]")[0].strip()) for name, _, unit in cells]
 
 
 def read_numbers(
@@ -215,7 +226,8 @@ def read_numbers(
     stamps = table[:, 0]
     if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
         latest = f"{np.nanmax(np.abs(stamps)):.3g}"
-        raise FileError.of(path, f"is damaged: its stamps must be seconds, and reach {latest}")
+        words = f"its stamps must be seconds, and reach {latest}: correct them, or {NAME_UNIT}"
+        raise FileError.of(path, f"is damaged: {words}")
     return np.asarray(table, dtype=np.float64)
 
 

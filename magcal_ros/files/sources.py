@@ -28,7 +28,7 @@ from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
 from magcal_ros.files.disk import FileError
 from magcal_ros.files.logs import Progress
-from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
+from magcal_ros.files.recording import NAME_UNIT, Recording, read_csv_folder, read_travel
 
 Source: TypeAlias = Bag | Recording  # an open recording of any kind
 
@@ -158,7 +158,9 @@ class RepairedReadings:
     ) -> Iterator[Reading]:
         """Yield readings with a slow IMU interpolated, and without the field in fast turns."""
         if gap > SLOWEST:
-            raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}")
+            is_table = self._source.imu_topic == Recording.imu_topic
+            remedy = f". If the stamps are not seconds, {NAME_UNIT}" if is_table else ""
+            raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}{remedy}")
         last: ImuSample | None = None
         is_fast, fields, left_out = False, 0, 0
         for reading in readings:

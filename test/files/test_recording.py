@@ -27,6 +27,19 @@ def test_columns_are_found_by_name_in_any_order(folder):
     assert read_csv_folder(folder).field.tolist() == [[1.05, 1e-5, 2e-5, -3e-5]]
 
 
+@pytest.mark.parametrize(("unit", "second"), [("s", 1), ("ms", 1e3), ("µs", 1e6), ("ns", 1e9)])
+def test_stamps_in_a_unit_that_the_header_names_are_read(folder, unit, second):
+    for name in ("imu", "mag"):
+        path = folder / f"{name}.csv"
+        first, *rows = path.read_text().splitlines()
+        rows = [row.split(",", 1) for row in rows]
+        rows = [f"{float(stamp) * second!r},{others}" for stamp, others in rows]
+        path.write_text("\n".join([first.replace("t,", f"t [{unit}],"), *rows]) + "\n")
+    recording = read_csv_folder(folder)
+    assert recording.imu[:, 0].tolist() == pytest.approx([1.0, 1.1], abs=1e-12)
+    assert recording.field[0].tolist() == pytest.approx([1.05, 1e-5, 2e-5, -3e-5], rel=1e-12)
+
+
 def test_a_byte_order_mark_is_no_part_of_the_first_name(folder):
     """A spreadsheet writes it; the answer was that there is no column t."""
     (folder / "mag.csv").write_text(MAG, encoding="utf-8-sig")
@@ -92,6 +105,8 @@ def test_a_truncated_last_line_of_a_table_is_ignored(folder, end):
     [
         ("", "has no column t, mx, my, mz; its first line should be t,mx,my,mz"),
         ("t,mx,mz\n1,2,3\n", "has no column my"),
+        ("t [min],mx,my,mz\n1,2,3,4\n", "stamps in an unknown unit, 'min': write s, ms, us or ns"),
+        ("t,mx,my,mz\n1.7e12,2,3,4\n", r"reach 1.7e\+12: .* name their unit in the header"),
         ("t,mx,my,mz\n1,2,x,4\n", "is damaged"),
         ("t,mx,my,mz\n1,2,3,4\n1,2\n", "is damaged"),
     ],

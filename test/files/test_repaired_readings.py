@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from drives import drive, write_bag, write_csv
 
+from magcal_ros.core import Refusal
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.files import RepairedReadings, open_recording
 
@@ -52,6 +53,17 @@ def test_one_sensor_alone_may_be_buffered(turn, tmp_path):
     np.testing.assert_array_equal(stamps(samples, True), stamps(turn, True))
     assert np.ptp(stamps(samples, False) - stamps(turn, False)) < 0.06
     assert notes[0].startswith("mag.csv: ")
+
+
+@pytest.mark.parametrize(("write", "is_table"), [(write_csv, True), (write_bag, False)])
+def test_milliseconds_without_a_unit_are_refused_and_of_a_table_explained(
+    write, is_table, turn, tmp_path
+):
+    late = [sample._replace(stamp=1e3 * sample.stamp) for sample in turn]
+    with pytest.raises(Refusal, match="Hz by its stamps, too slowly") as caught:
+        read(write(tmp_path / "one", late))
+    words = "If the stamps are not seconds, name their unit in the header, as in t [ms]"
+    assert (words in str(caught.value)) is is_table
 
 
 def test_even_stamps_are_unchanged(turn, tmp_path):
