@@ -105,6 +105,21 @@ def test_too_little_data_is_reported(tmp_path, capsys):
     assert "Too little data" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("value", ["nan", "0"])
+@pytest.mark.parametrize(("name", "sensor"), [("imu", "IMU"), ("mag", "field")])
+def test_a_sensor_without_any_value_is_wrong(tmp_path, capsys, name, sensor, value):
+    arguments = record(tmp_path / "bag", np.eye(3))
+    path = tmp_path / "bag" / f"{name}.csv"
+    first, *rows = path.read_text().splitlines()
+    rows = [",".join([row.split(",")[0]] + [value] * first.count(",")) for row in rows]
+    path.write_text("\n".join([first, *rows]) + "\n")
+    assert main(["doctor", *arguments]) == 4
+    printed = capsys.readouterr().out
+    assert f"{sensor}: values" in printed
+    assert f"0 of {len(rows)} samples hold a value" in printed
+    assert "the driver reads nothing: check the wiring" in printed
+
+
 def test_a_recording_excludes_the_live_option(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3)), "--live"]) == 2
     assert "leave out --live" in capsys.readouterr().err

@@ -23,7 +23,7 @@ from magcal_ros.core.geometry.arrays import (
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
 from magcal_ros.core.samples.samples_tuning import COMPLAINTS, RECORDER, STREAMS
-from magcal_ros.core.samples.units import NOT_NUMBERS, gravity_size
+from magcal_ros.core.samples.units import NOT_NUMBERS, NOTHING_READ, gravity_size
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
@@ -75,6 +75,10 @@ def prepare(log: SensorLog) -> CleanLog:
             log = replace(log, **{f"{name}_time": spread_each(time) if even is None else even})
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
+    for sensor, usable in (("IMU", imu), ("field", field)):
+        if usable.sum() <= HEALTH.fewest < len(usable):
+            about = f"{sensor}: values", f"{usable.sum()} of {len(usable)} samples hold a value"
+            findings.append(health.ok_or_severe("no_values", *about, NOTHING_READ))
     log = _selected(log, imu, field)
     clean = _without_duplicates(log)
     if len(log.field) > HEALTH.fewest:

@@ -187,13 +187,14 @@ def usual_up(time: FloatArray, force: FloatArray, rate: FloatArray | None) -> Fl
 
 NOT_NUMBERS = "samples are not finite (NaN or infinite): let the driver leave them out"
 
+NOTHING_READ = "the driver reads nothing: check the wiring, and the driver's error messages"
 WORDS = {
     DropReason.NOT_FINITE: NOT_NUMBERS,
-    DropReason.ZERO: "samples are all zero",
-    DropReason.ABSENT: "messages carry no acceleration",
+    DropReason.ZERO: f"samples are all zero: {NOTHING_READ}",
+    DropReason.ABSENT: "messages carry no acceleration: choose a topic of the IMU that has one",
     DropReason.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
-    DropReason.BACKWARD_STAMP: "stamps go backward",
-    DropReason.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
+    DropReason.BACKWARD_STAMP: "stamps go backward: let one driver stamp them, with one clock",
+    DropReason.UNPAIRED: "samples have no IMU sample within window.max_gap_s: check both stamps",
     DropReason.UNREADABLE: "messages are damaged: their bytes do not match their type",
 }
 
