@@ -191,10 +191,9 @@ def _parse(path: Path) -> Mapping[str, Any]:
 
 
 def _damaged(path: Path, detail: str) -> FileError:
-    return FileError(
-        f"{path} is not a usable calibration: {detail}. "
-        "Calibrate again to replace it, or name another file."
-    )
+    # A file of another program is never replaced.
+    remedy = "Calibrate again to replace it, or name" if is_free_or_ours(path) else "Name"
+    return FileError(f"{path} is not a usable calibration: {detail}. {remedy} another file.")
 
 
 def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:

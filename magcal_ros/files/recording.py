@@ -220,7 +220,7 @@ def read_numbers(
         if first is None:
             if may_be_empty:
                 return np.empty((0, len(columns)))
-            raise FileError(f"{path} holds no samples")
+            raise FileError(f"{path} holds no samples: record again")
         table = np.loadtxt(chain([first], rows), delimiter=separator, usecols=columns, ndmin=2)
     table[:, 0] /= second
     stamps = table[:, 0]

@@ -314,12 +314,19 @@ class TestDamage:
         with pytest.raises(FileError, match=re.escape(f"its format version is {version!r}")):
             read_calibration(written)
 
-    def test_the_error_names_the_file_and_the_remedy(self, tmp_path):
-        path = tmp_path / "mag.yaml"
-        path.write_text("a: 1")
+    def test_the_error_names_the_file_and_the_remedy(self, written):
+        written.write_text(written.read_text()[:300])
         with pytest.raises(FileError, match="Calibrate again to replace it") as caught:
+            read_calibration(written)
+        assert str(written) in str(caught.value)
+
+    def test_the_user_is_not_told_to_replace_a_file_that_is_never_replaced(self, tmp_path):
+        path = tmp_path / "parameters.yaml"
+        path.write_text("a: 1")
+        with pytest.raises(FileError, match=r"calibration'\. Name another file\.$"):
             read_calibration(path)
-        assert str(path) in str(caught.value)
+        with pytest.raises(FileError, match="was not changed; choose another name"):
+            write_calibration(path, example(), ORIGIN)
 
 
 class TestHostileYaml:
