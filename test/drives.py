@@ -63,8 +63,11 @@ def bag_message(store, sample, frames):
     return sample
 
 
-def write_bag(path, samples, kind="mcap", frames=("imu_link", "mag_link")):
-    """Write a rosbag2 (mcap, sqlite3) or a ROS 1 bag; returns its path."""
+def write_bag(path, samples, kind="mcap", frames=("imu_link", "mag_link"), pace=1.0):
+    """Write a rosbag2 (mcap, sqlite3) or a ROS 1 bag; returns its path.
+
+    `pace` is the speed of the recorder's clock against that of the stamps.
+    """
     store = STORE1 if kind == "ros1" else STORE2
     if kind == "ros1":
         path = path.with_suffix(".bag")
@@ -80,7 +83,7 @@ def write_bag(path, samples, kind="mcap", frames=("imu_link", "mag_link")):
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
             stamp = round(sample.stamp * 1e9) if hasattr(sample, "stamp") else stamp
-            writer.write(connections[topic], stamp, serialize(content, msgtype))
+            writer.write(connections[topic], round(pace * stamp), serialize(content, msgtype))
     return path
 
 

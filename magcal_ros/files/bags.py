@@ -157,21 +157,23 @@ class Bag:
 
         FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
-        chosen = self._named(IMU_TYPE, topic)
-        late: list[float] = []  # time of recording minus stamp
+        chosen, header = self._named(IMU_TYPE, topic), self._format.header
+        found, late, imu_late, why = list[HeadingSample](), list[float](), math.inf, "it is empty"
 
-        def take(_: Connection, received: int, data: bytes) -> HeadingSample | str:
-            sample = self._format.heading(data)
-            late.extend([] if isinstance(sample, str) else [received * 1e-9 - sample.stamp])
-            return sample
+        def take(connection: Connection, received: int, data: bytes) -> None:
+            nonlocal imu_late, why
+            if connection.topic != topic:
+                imu_late = received * 1e-9 - header(data)[0]
+            elif isinstance(sample := self._format.heading(data), str):
+                why = sample
+            else:
+                found.append(sample)
+                # The clock of the recorder may be slower or faster, as beside a simulator.
+                late.append(received * 1e-9 - sample.stamp - imu_late)
 
-        read = list(self._read(chosen, take))
-        found = [each for each in read if not isinstance(each, str)]
-        why = "" if found else read[-1] if read else "it is empty"
+        list(self._read([c for c in self._imu if c not in chosen] + chosen, take))
         if found:
-            header = self._format.header
-            imu = self._read(self._imu, lambda _, at, data: at * 1e-9 - header(data)[0])
-            why = wrong_clock(float(np.median(late)) - next(imu, math.inf), self.imu_topic)
+            why = wrong_clock(float(np.median(late)), self.imu_topic)
         if why:
             raise FileError(f"{printable(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
