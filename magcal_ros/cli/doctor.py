@@ -187,7 +187,9 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[
 
 def _tell(options: argparse.Namespace, report: SensorReport, gains: FloatArray) -> int:
     """Print the report and write the parameters that correct faults."""
-    status = Exit.REFUSED if report.misleads else Exit.GOOD
+    # Such a fault would make headings wrong.
+    is_wrong = any(finding.grade is Grade.REFUSED for finding in report.findings)
+    status = Exit.REFUSED if is_wrong else Exit.GOOD
     written = write_parameters(options.write, report, None if np.allclose(gains, 1.0) else gains)
     words = report_in_words(report)
     if written is not None:

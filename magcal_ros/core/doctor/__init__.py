@@ -14,6 +14,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     quirks: AK09916_IN_ICM20948 AK8963_IN_MPU9250 FIELD_POINTS_UP QUIRKS WRAP
     sensor_report: SensorReport examine examine_window refusal_by_sensors with_explanation
         wrong_axes
-    turn_fit: force_latency log_odds_of
+    turn_fit: fit_turn force_latency
     """,
 )

@@ -19,7 +19,7 @@ from magcal_ros.core.doctor.health import (
     vector_in_words,
 )
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
-from magcal_ros.core.doctor.turn_fit import log_odds_of
+from magcal_ros.core.doctor.turn_fit import TurnFit, fit_turn
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     DIRECTIONS,
@@ -219,6 +219,7 @@ class AxesDiagnosis(NamedTuple):
     chosen: int | None = None  # the chosen hypothesis; None if none explains the movement
     axes: PossibleAxes | None = None
     """The possible axes of the magnetometer; None if they are not determined."""
+    turn: TurnFit | None = None  # the fit by the chosen hypothesis, if it was compared with others
 
 
 def diagnose_axes(
@@ -256,13 +257,16 @@ def diagnose_axes(
     suspects = {sensors: each for sensors, each in suspects.items() if len(sensors) == fewest}
     if gyro_is_half_dead and list(suspects) != [("gyro",)]:
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
+    fits: dict[int | None, TurnFit | None] = {}
     if hypotheses.fit.rms[given] < AXES.good_fit:
         # The model of the comparison is simple: some errors of right sensors resemble other axes.
         asked = [given, *(each[0] for each in suspects.values())]
-        own, *others = (log_odds_of(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked)
+        fits = {k: fit_turn(hypotheses.hypothesis(k), knowledge, up_is_down) for k in asked}
+        own, *others = (-math.inf if fit is None else fit.log_odds for fit in fits.values())
         if 2.0 * (own - max(others)) > AXES.remains:
-            return _all_agree(hypotheses, remains, knowledge, contrary)
-    return _findings_on_axes(hypotheses, suspects, knowledge)
+            return _all_agree(hypotheses, remains, knowledge, contrary)._replace(turn=fits[given])
+    found = _findings_on_axes(hypotheses, suspects, knowledge)
+    return found._replace(turn=fits.get(found.chosen))
 
 
 def _wrong_sensors(hypotheses: AxesHypotheses, k: int) -> tuple[str, ...]:

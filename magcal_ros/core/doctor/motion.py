@@ -9,7 +9,6 @@ import numpy as np
 
 from magcal_ros.core.doctor.alignment import NO_BIAS
 from magcal_ros.core.doctor.axes_diagnosis import (
-    AxesDiagnosis,
     PossibleAxes,
     check_gravity_direction,
     diagnose_axes,
@@ -84,6 +83,7 @@ class MotionResult:
     """Whether gravity's sign is wrong; None if undecided."""
     rest: LongestRest | None = None
     """A rest that the field proves, with rates as published."""
+    turn: TurnFit | None = None  # the fit by the hypothesis, if it was compared with others
 
 
 def compare(
@@ -127,10 +127,12 @@ def compare(
     diagnosis = diagnose_axes(hypotheses, knowledge, turned_left, bool(up_is_down), dead)
     if stands.is_wrong and not up_is_down and any(each.is_wrong for each in diagnosis.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
-        diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
+        unclear = (undetermined("axes", "axes", GRAVITY_FIRST),)
+        diagnosis = diagnosis._replace(findings=unclear, axes=None)
     findings = _unit(factor, likely), stands, *diagnosis.findings
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
-    return MotionResult(prepared, findings, diagnosis.axes, hypothesis, factor, up_is_down, rest)
+    axes, turn = diagnosis.axes, diagnosis.turn
+    return MotionResult(prepared, findings, axes, hypothesis, factor, up_is_down, rest, turn)
 
 
 def findings_by_turn(

@@ -71,11 +71,6 @@ class SensorReport:
     """A compass with the likeliest axes, good enough to be compared with a drive's course."""
 
     @property
-    def misleads(self) -> bool:
-        """Whether a fault would make headings wrong."""
-        return any(finding.grade is Grade.REFUSED for finding in self.findings)
-
-    @property
     def parameters(self) -> str:
         """The line of a parameter file that corrects the axes; empty if there is none."""
         return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
@@ -135,7 +130,9 @@ def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> Sensor
     if hypothesis is not None:
         is_wrong_unit = any(each.key == WRONG_UNIT and each.is_wrong for each in lines)
         is_usable = not prepared.restamped and not is_wrong_unit
-        turn = fit_turn(hypothesis, knowledge, bool(found.up_is_down)) if is_usable else None
+        turn = found.turn if is_usable else None
+        if is_usable and turn is None:
+            turn = fit_turn(hypothesis, knowledge, bool(found.up_is_down))
         lines += findings_by_turn(found, hypothesis, turn)
         lines = with_field(lines, found, hypothesis, knowledge, turn)
         if axes is not None and found.factor == 1.0 and not found.up_is_down:

@@ -48,6 +48,7 @@ class TurnFit:
     """Field of the motors in body axes while the robot turns, tesla; None without a rest. (3,)."""
     motors_sigma: float  # tesla, largest over all directions
     drove: bool  # whether the robot drove in its turns
+    log_odds: float  # log evidence of the hypothesis by the smoother
 
 
 def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> TurnFit | None:
@@ -68,13 +69,8 @@ def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool)
         None if motors is None else from_level @ motors,
         motors_sigma,
         _drove(best),
+        _log_odds(best),
     )
-
-
-def log_odds_of(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> float:
-    """Return the log evidence of a hypothesis by the smoother; minus infinity if it is refused."""
-    found = _likeliest_fit(hypothesis, knowledge, up_is_down)
-    return -math.inf if found is None else _log_odds(found[1])
 
 
 def _likeliest_fit(

@@ -17,7 +17,7 @@ from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
 from magcal_ros.core.doctor import (
     alive_finding,
     compare_axes,
-    log_odds_of,
+    fit_turn,
     motion,
     refusal_by_sensors,
     wrong_axes,
@@ -189,14 +189,15 @@ def test_axes_as_given_are_kept_if_the_smoother_excludes_the_others():
     """The comparison has a simple model, and a short turn there and back misled it."""
     found, named = compared(turned_and_swayed(0.1))
     assert named.chosen == found.as_given
-    again = motion.diagnose_axes(worsened(found), KNOWN, None, up_is_down=False)
+    again = motion.diagnose_axes(worsened(found, 1000.0), KNOWN, None, up_is_down=False)
     assert again.chosen == found.as_given
+    assert again.turn is not None  # the report needs no second fit
     assert not any(each.is_wrong for each in again.findings)
 
 
 def test_axes_that_no_fit_can_use_are_those_of_the_comparison(window, monkeypatch):
     found = worsened(compared(window)[0])
-    monkeypatch.setattr("magcal_ros.core.doctor.axes_diagnosis.log_odds_of", lambda *_: -math.inf)
+    monkeypatch.setattr("magcal_ros.core.doctor.axes_diagnosis.fit_turn", lambda *_: None)
     named = motion.diagnose_axes(found, KNOWN, None, up_is_down=False)
     assert named.chosen != found.as_given
     assert any(each.is_wrong for each in named.findings)
@@ -207,7 +208,7 @@ def test_the_fit_by_other_axes_is_that_of_right_sensors(window):
     right = found.hypothesis(found.as_given)
     log = replace(right.log, field=right.log.field @ QUARTER_TURN.T)
     turned = right._replace(field=QUARTER_TURN, log=log)
-    odds = [log_odds_of(each, KNOWN, up_is_down=False) for each in (right, turned)]
+    odds = [fit_turn(each, KNOWN, up_is_down=False).log_odds for each in (right, turned)]
     assert odds[1] == pytest.approx(odds[0], abs=1e-6)
 
 
