@@ -17,7 +17,8 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal, UsageError
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.geometry.rotations import in_axes
+from magcal_ros.core.knowledge import Knowledge, in_level_axes, level_rotation
 from magcal_ros.core.multi_turn.result import KeptTurns, MultiTurnReport
 from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
@@ -113,19 +114,10 @@ def calibrate(
     if progress is not None and method in ONE_SMOOTHER:
         fit = partial(cast("Callable[..., Estimate]", fit), progress=progress)
     try:
-        estimate = _in_level_axes(fit, window, knowledge)
+        estimate = in_level_axes(fit)(window, knowledge)
     except Refusal as refusal:
         return Outcome.refused(refusal_by_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
-
-
-def _in_level_axes(fit: Fit, window: Window, knowledge: Knowledge) -> Estimate:
-    """Return the estimate of a fit that is made in level axes, in the IMU's axes.
-
-    What is known of sensors and motion refers to the vertical: an IMU may be mounted on its side.
-    """
-    turn = knowledge.mounting.to_level
-    return fit(window.in_axes(turn), knowledge.leveled).in_axes(turn.T)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
@@ -169,7 +161,7 @@ def calibrate_drive(log: Window, knowledge: Knowledge) -> Outcome:
     if wrong is not None:
         return Outcome.refused(wrong, log)
     try:
-        estimate = _in_level_axes(fit_log, log, knowledge)
+        estimate = in_level_axes(fit_log)(log, knowledge)
     except Refusal as refusal:
         return Outcome.refused(refusal, log)
     return _judged_by_axes_too(estimate, knowledge, log)
@@ -220,16 +212,15 @@ def calibrate_turns(
     turns, joint, multi_turn = join(windows, called, knowledge)
     members = [turn for turn in turns if not turn.refusal_words]
     turn = (members or turns)[-1]
-    window, from_level = windows[turns.index(turn)], knowledge.mounting.to_level.T
+    window, from_level = windows[turns.index(turn)], level_rotation(knowledge.upward).T
     if joint is not None:
-        outcome = judged(joint.in_axes(from_level), knowledge, window)
+        outcome = judged(in_axes(joint, from_level), knowledge, window)
     elif turn.refusal_words and len(turns) > 1:
         each = "; ".join(f"{turn.name}: {turn.refusal_words}" for turn in turns)
         words = f"none of the turns can be used: {each}"
         outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), window)
     elif turn.estimate is not None and turn.reason is None:
-        estimate = turn.estimate.in_axes(from_level)
-        outcome = _judged_by_axes_too(estimate, knowledge, window)
+        outcome = _judged_by_axes_too(in_axes(turn.estimate, from_level), knowledge, window)
     else:
         outcome = calibrate(window, knowledge)
     return replace(outcome, multi_turn=multi_turn)
@@ -290,12 +281,12 @@ def _refused(outcome: Outcome, kept: KeptTurns) -> Outcome:
     return replace(Outcome.refused(refusal), multi_turn=outcome.multi_turn)
 
 
+@in_level_axes
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
     """Return the sigma of the heading on the level by a fit of this window, radians.
 
     It is infinite without a fit.
     """
-    window, knowledge = window.in_axes(knowledge.mounting.to_level), knowledge.leveled
     try:
         if method in ONE_SMOOTHER and working_axes(window.angular_rate)[2]:
             from magcal_ros.core.methods.checks import check_window

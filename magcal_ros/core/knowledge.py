@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.attitude import angle_between, unit
-from magcal_ros.core.geometry.rotations import minimal_rotation
+from magcal_ros.core.geometry.rotations import in_axes, minimal_rotation
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
@@ -29,6 +35,22 @@ UNKNOWN_YAW = math.pi**2 / 3.0  # variance of an unknown yaw, rad²
 def level_rotation(upward: FloatArray) -> FloatArray:
     """Return the smallest rotation of axes, (3, 3), that turns the vehicle's top (3,) to z."""
     return minimal_rotation(unit(upward), Z)
+
+
+def in_level_axes(compute: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that calls `compute` in level axes; its result is in the IMU's axes again.
+
+    What is known of sensors and motion refers to the vertical, but an IMU may be mounted on its
+    side. One of the arguments has `upward` (3,), the top of the vehicle in the IMU's axes.
+    """
+
+    @wraps(compute)
+    def computed(*inputs: P.args, **options: P.kwargs) -> T:
+        every = (*inputs, *options.values())
+        turn = level_rotation(next(each.upward for each in every if hasattr(each, "upward")))
+        return in_axes(compute(*in_axes(inputs, turn), **in_axes(options, turn)), turn.T)
+
+    return computed
 
 
 @dataclass(frozen=True)
@@ -170,10 +192,10 @@ class Mounting:
         """From sensor to nominal body axes, gains removed; the inverse of `matrix`, (3, 3)."""
         return np.asarray(self.pose / self.gains)
 
-    @property
-    def to_level(self) -> FloatArray:
-        """Rotation from the IMU's axes to level ones, whose z points to the top, (3, 3)."""
-        return level_rotation(self.upward)
+    def in_axes(self, rotation: FloatArray) -> Mounting:
+        """Return the same mounting for rotated axes of the IMU's frame."""
+        pose, forward, upward = (rotation @ each for each in (self.pose, self.forward, self.upward))
+        return replace(self, pose=pose, forward=forward, upward=upward)
 
     def lean(self, up: FloatArray) -> float:
         """Return the angle of up (3,) to the body's z or the vehicle's top, the smaller, radians.
@@ -199,11 +221,13 @@ class Knowledge:
     Real sensors have others, which the smoother estimates."""
 
     @property
-    def leveled(self) -> Knowledge:
-        """The same knowledge for body axes that are level (`Mounting.to_level`)."""
-        old, turn = self.mounting, self.mounting.to_level
-        pose, forward = turn @ old.pose, turn @ old.forward
-        return replace(self, mounting=replace(old, pose=pose, forward=forward, upward=Z))
+    def upward(self) -> FloatArray:
+        """Unit vector to the top of the vehicle in the IMU's axes, shape (3,)."""
+        return self.mounting.upward
+
+    def in_axes(self, rotation: FloatArray) -> Knowledge:
+        """Return the same knowledge for rotated body axes."""
+        return replace(self, mounting=self.mounting.in_axes(rotation))
 
 
 def knowledge_of(

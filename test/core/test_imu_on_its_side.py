@@ -19,7 +19,7 @@ from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.doctor import examine_window
 from magcal_ros.core.geometry import exp_rotation, rotation_from_rpy
 from magcal_ros.core.heading import BaseHeading, MotionDetector
-from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.knowledge import knowledge_of, level_rotation
 from magcal_ros.core.methods import known_headings
 from magcal_ros.core.monitoring import recheck
 from magcal_ros.core.samples import ImuSample, log_of
@@ -208,6 +208,7 @@ def test_the_doctor_finds_the_same(flat):
 
 def test_an_imu_that_lies_flat_is_not_turned():
     window = window_of(1)
-    assert (Mounting().to_level == np.eye(3)).all()
-    assert (window.in_axes(Mounting().to_level).specific_force == window.specific_force).all()
-    assert Knowledge().leveled.mounting.pose.tolist() == np.eye(3).tolist()
+    turn = level_rotation(Mounting().upward)
+    assert (turn == np.eye(3)).all()
+    assert (window.in_axes(turn).specific_force == window.specific_force).all()
+    assert Knowledge().in_axes(turn).mounting.pose.tolist() == np.eye(3).tolist()

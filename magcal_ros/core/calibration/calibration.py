@@ -14,12 +14,12 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import (
-    IDENTITY,
+    in_axes,
     rotation_angle,
     rotation_from_rpy,
     rpy_from_rotation,
 )
-from magcal_ros.core.knowledge import ReferenceField, Z, level_rotation
+from magcal_ros.core.knowledge import ReferenceField, Z
 
 
 @dataclass(frozen=True)
@@ -106,20 +106,13 @@ class Estimate:
 
     def in_axes(self, rotation: FloatArray) -> Estimate:
         """Return the same estimate in rotated body axes."""
-        if np.array_equal(rotation, IDENTITY):
-            return self
         return replace(
             self,
             **_numbers_in_axes(self, rotation),
-            installation=None if self.installation is None else self.installation.in_axes(rotation),
+            installation=in_axes(self.installation, rotation),
             axis=rotation @ self.axis,
-            gyro=None if self.gyro is None else self.gyro.in_axes(rotation),
+            gyro=in_axes(self.gyro, rotation),
         )
-
-    @property
-    def level(self) -> Estimate:
-        """The same estimate in level axes (`Mounting.to_level`)."""
-        return self.in_axes(level_rotation(self.upward))
 
     @property
     def circle_radius(self) -> float:
@@ -224,14 +217,7 @@ class Calibration:
 
     def in_axes(self, rotation: FloatArray) -> Calibration:
         """Return the same calibration in rotated body axes."""
-        if np.array_equal(rotation, IDENTITY):
-            return self
         return replace(self, **_numbers_in_axes(self, rotation))
-
-    @property
-    def level(self) -> Calibration:
-        """The same calibration in level axes (`Mounting.to_level`)."""
-        return self.in_axes(level_rotation(self.upward))
 
     def accepted_by_person(self) -> Calibration:
         """Return the same calibration, marked as accepted by the user."""

@@ -17,8 +17,8 @@ from magcal_ros.core.geometry.attitude import (
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.geometry.rotations import in_axes, rotation_from_rpy
+from magcal_ros.core.knowledge import Mounting, level_rotation
 from magcal_ros.core.samples.window import Window
 
 CHECKED_TILT = math.radians(10.0)
@@ -57,9 +57,19 @@ def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0)
 
 def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
     """Return the yaw's sigma by the covariance of the twelve numbers alone, radians."""
-    level = estimate.level
+    return rms_sigma(*_in_level_axes(estimate, tilt))
+
+
+def _in_level_axes(
+    estimate: Estimate | Calibration, tilt: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivative of the yaw by the twelve numbers in level axes, and their covariance.
+
+    Shapes are (n, 12) over all headings, on the level or on slopes of `tilt` (rad), and (12, 12).
+    """
+    level = in_axes(estimate, level_rotation(estimate.upward))
     reference = field_in_enu(level.strength, level.inclination)
-    return rms_sigma(heading_jacobian(level.correction, reference, tilt), level.covariance)
+    return heading_jacobian(level.correction, reference, tilt), level.covariance
 
 
 def known_sigma(calibration: Calibration) -> float:
@@ -78,9 +88,7 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
         size = estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
     if size == 0.0:
         return 0.0
-    level = estimate.level
-    reference = field_in_enu(level.strength, level.inclination)
-    by_field = heading_jacobian(level.correction, reference, tilt)[:, PARAMETERS - 3 :]
+    by_field = _in_level_axes(estimate, tilt)[0][:, PARAMETERS - 3 :]
     return size * math.sqrt(float(np.mean(np.sum(by_field**2, axis=1))))
 
 
@@ -90,11 +98,9 @@ def arc_sigma(estimate: Estimate) -> float:
     It is the largest over all starts: a partial turn determines the circle's centre least along the
     middle of the arc, and an error in this direction changes the arc.
     """
-    level = estimate.level
-    reference = field_in_enu(level.strength, level.inclination)
-    jacobian = heading_jacobian(level.correction, reference, 0.0)
+    jacobian, covariance = _in_level_axes(estimate)
     apart = np.roll(jacobian, -round(estimate.arc / math.tau * HEADINGS), axis=0) - jacobian
-    variance = np.einsum("ki,ij,kj->k", apart, level.covariance, apart)
+    variance = np.einsum("ki,ij,kj->k", apart, covariance, apart)
     return math.sqrt(max(float(variance.max()), 0.0))
 
 

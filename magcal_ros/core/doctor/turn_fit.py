@@ -11,6 +11,7 @@ axes (`AlignmentFit`). The accelerometer's lever arm is fitted with it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -30,7 +31,7 @@ from magcal_ros.core.doctor.prepared import liveliest, segment_of_log
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
-from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge, in_level_axes
 from magcal_ros.core.samples.window import Steps, Window
 from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, Smoothed, smooth
 from magcal_ros.core.smoother.unknowns import AT, BODY_FIELD, DRIVES, MICROTESLA, USUAL
@@ -50,51 +51,51 @@ class TurnFit:
     drove: bool  # whether the robot drove in its turns
     log_odds: float  # log evidence of the hypothesis by the smoother
 
+    def in_axes(self, rotation: FloatArray) -> TurnFit:
+        """Return the same errors in rotated body axes."""
+        motors = None if self.motors is None else rotation @ self.motors
+        return replace(self, bias=rotation @ self.bias, motors=motors)
+
 
 def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool) -> TurnFit | None:
-    """Return the fit of a log by a hypothesis; None if it is refused."""
-    found = _likeliest_fit(hypothesis, knowledge, up_is_down)
-    if found is None:
-        return None
-    lag, best = found
-    from_level = knowledge.mounting.to_level.T
-    late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
-    biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
-    motors, motors_sigma = _motors(best)
-    return TurnFit(
-        Belief(lag + late.value, math.hypot(late.sigma, TURN.least)),
-        from_level @ [each.value for each in biases],
-        max(each.sigma for each in biases),
-        scale,
-        None if motors is None else from_level @ motors,
-        motors_sigma,
-        _drove(best),
-        _log_odds(best),
-    )
-
-
-def _likeliest_fit(
-    hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool
-) -> tuple[float, Smoothed] | None:
-    """Return the smoother's fit by a hypothesis, and the latency (s) subtracted before.
+    """Return the fit of a log by a hypothesis; None if it is refused.
 
     The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
     If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
-    the likelier of the two is used. None if all fits are refused.
+    the likelier of the two is used.
     """
-    # The field is already in body axes.
-    nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
-    knowledge, to_level = replace(knowledge, mounting=nominal).leveled, nominal.to_level
     lag = float(hypothesis.state[LAG])
     is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
-    found: list[tuple[float, Smoothed]] = []
-    for each in (0.0, lag) if is_late else (0.0,):
-        window = _window(hypothesis, each, up_is_down)
-        if window is None:
-            continue
+    lags = (0.0, lag) if is_late else (0.0,)
+    windows = [(each, _window(hypothesis, each, up_is_down)) for each in lags]
+    # The field is already in body axes.
+    nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
+    return _likeliest_fit(windows, replace(knowledge, mounting=nominal))
+
+
+@in_level_axes
+def _likeliest_fit(
+    windows: Sequence[tuple[float, Window | None]], knowledge: Knowledge
+) -> TurnFit | None:
+    """Return the likeliest fit of windows, each with the latency (s) subtracted from its stamps."""
+    fits: list[tuple[float, Smoothed]] = []
+    for lag, window in windows:
         with suppress(Refusal):
-            found.append((each, smooth(window.in_axes(to_level), knowledge)))
-    return max(found, key=lambda one: _log_odds(one[1]), default=None)
+            fits += [] if window is None else [(lag, smooth(window, knowledge))]
+    if not fits:
+        return None
+    lag, best = max(fits, key=lambda one: _log_odds(one[1]))
+    late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
+    biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
+    return TurnFit(
+        Belief(lag + late.value, math.hypot(late.sigma, TURN.least)),
+        np.array([each.value for each in biases]),
+        max(each.sigma for each in biases),
+        scale,
+        *_motors(best),
+        _drove(best),
+        _log_odds(best),
+    )
 
 
 def _log_odds(found: Smoothed) -> float:

@@ -8,14 +8,38 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
+T = TypeVar("T")
 IDENTITY = frozen_array(np.eye(3), (3, 3), "rotation")
+
+
+def in_axes(value: T, rotation: FloatArray) -> T:
+    """Return a value in body axes that are rotated by `rotation` (3, 3), by its own `in_axes`.
+
+    The elements of a list, a tuple, a mapping, and of a dataclass without `in_axes`, are returned
+    in rotated axes. Anything else, arrays included, is taken to have no axes and stays as it is.
+    """
+    found: Any = value
+    if np.array_equal(rotation, IDENTITY):
+        return value
+    if hasattr(value, "in_axes"):
+        found = value.in_axes(rotation)
+    elif type(value) in (list, tuple):
+        found = type(found)(in_axes(each, rotation) for each in found)
+    elif isinstance(value, Mapping):
+        found = {name: in_axes(each, rotation) for name, each in value.items()}
+    elif is_dataclass(value) and not isinstance(value, type):
+        names = [each.name for each in fields(value)]
+        found = replace(value, **{name: in_axes(getattr(value, name), rotation) for name in names})
+    return found  # type: ignore[no-any-return]
 
 
 def skew(v: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.calibration import Estimate, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
-from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge, in_level_axes
 from magcal_ros.core.methods.methods_tuning import CONTRADICTION
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
@@ -48,6 +48,7 @@ READINGS: dict[str, tuple[float, float]] = {
 """Common mistakes of headings, and the factor and shift (radians) that correct them."""
 
 
+@in_level_axes
 def fit(
     measurements: Sequence[KnownHeadingMeasurement],
     knowledge: Knowledge,
@@ -65,8 +66,6 @@ def fit(
     Refusal
         If headings, field and gyro contradict each other; the text names what is likely wrong.
     """
-    to_level = knowledge.mounting.to_level
-    measurements, knowledge = [m.in_axes(to_level) for m in measurements], knowledge.leveled
     try:
         found = fit_headings(measurements, knowledge, place)
     except np.linalg.LinAlgError:
@@ -100,7 +99,7 @@ def fit(
         residual=found.residual,
         figures=figures,
         message="converged",
-    ).in_axes(to_level.T)
+    )
 
 
 def _contradiction(
@@ -223,13 +222,12 @@ def declination_hint(
     )
 
 
+@in_level_axes
 def next_in_words(measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge) -> str:
     """Return the most informative further heading, and the sigma of the compass with it, in words.
 
     The next measurement is assumed to have the sigma and `forward` of the last one.
     """
-    to_level = knowledge.mounting.to_level
-    measurements, knowledge = [m.in_axes(to_level) for m in measurements], knowledge.leveled
     shared, last = fit_headings(measurements, knowledge).state.shared, measurements[-1]
     sigmas = {}
     for shift in (k * 0.5 * QUARTER for k in range(1, 8)):

@@ -32,7 +32,7 @@ from magcal_ros.core.knowledge import (
     Belief,
     Knowledge,
     ReferenceField,
-    level_rotation,
+    in_level_axes,
 )
 from magcal_ros.core.methods import smoother
 from magcal_ros.core.monitoring.change import (
@@ -118,15 +118,13 @@ class Recheck:
         return STATES[self.verdict.quality]
 
 
+@in_level_axes
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
     """Test a calibration by a new turn or drive.
 
     `drive` is the log of the same recording; it is used if the speed of wheels was measured.
     Raises `Refusal` if the samples do not determine what has changed.
     """
-    turn = level_rotation(calibration.upward)
-    window, calibration = window.in_axes(turn), calibration.in_axes(turn)
-    drive = None if drive is None else drive.in_axes(turn)
     samples = window if drive is None or not drive.rolls else drive
     is_lost = window.angular_rate is not None and bool(
         np.median(np.diff(samples.time)) > STREAMS.longest_field_gap
@@ -155,7 +153,7 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     state = STATES[verdict.quality]
     sentence = SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
     says = _summary(verdict, sentence)
-    return Recheck(replace(verdict, says=says), on_samples.in_axes(turn.T), sentence)
+    return Recheck(replace(verdict, says=says), on_samples, sentence)
 
 
 def _fit_of_corrected(samples: Window, calibration: Calibration) -> tuple[Smoothed, Estimate]:

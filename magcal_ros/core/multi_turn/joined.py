@@ -23,8 +23,8 @@ from magcal_ros.core.doctor.sensor_report import refusal_by_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu
-from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Z
+from magcal_ros.core.geometry.rotations import in_axes, minimal_rotation, rotation_from_rpy
+from magcal_ros.core.knowledge import Knowledge, Z, level_rotation
 from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
 from magcal_ros.core.multi_turn.result import MultiTurnReport, TurnAccuracy, TurnAdvice, TurnResult
 from magcal_ros.core.samples.window import Window
@@ -81,7 +81,7 @@ class Turn:
     """
 
     name: str
-    window: Window  # in level axes (`Mounting.to_level`), as the estimate is
+    window: Window  # in level axes, as the estimate is
     estimate: Estimate | None
     smoothed: Smoothed | None
     reason: Reason | None = None
@@ -114,7 +114,7 @@ def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowle
 
 def _single_turn(window: Window, name: str, knowledge: Knowledge) -> Turn:
     found = estimate = None
-    level, known = window.in_axes(knowledge.mounting.to_level), knowledge.leveled
+    level, known = in_axes((window, knowledge), level_rotation(knowledge.upward))
     try:
         found = smoothed(level, known)
         estimate = estimate_of(found, level, known)
@@ -317,7 +317,7 @@ def join(
     level axes (None for less than two turns), and the report; None if no turn joined.
     """
     turns, joint_fit = fit_turns(windows, names, knowledge), None
-    knowledge = knowledge.leveled
+    knowledge = in_axes(knowledge, level_rotation(knowledge.upward))
     sigma, misfit = knowledge.mounting.yaw_sigma, 0.0
     while members := [turn for turn in turns if not turn.refusal_words]:
         alone = [turn.fit for turn in members]

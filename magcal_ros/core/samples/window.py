@@ -17,7 +17,12 @@ from magcal_ros.core.geometry.arrays import (
     freeze,
     trapezoids,
 )
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
+from magcal_ros.core.geometry.rotations import (
+    chained,
+    exp_rotations,
+    in_axes,
+    rotation_vectors_near,
+)
 from magcal_ros.core.samples.battery import Battery, Messages, battery_of
 from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, AttachedRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -175,13 +180,13 @@ class Window:
 
     def in_axes(self, rotation: FloatArray) -> Window:
         """Return the same samples in body axes that are rotated by `rotation` (3, 3)."""
-        rate, missed = self.angular_rate, self.missed
+        rate = self.angular_rate
         return replace(
             self,
             specific_force=self.specific_force @ rotation.T,
             angular_rate=None if rate is None else rate @ rotation.T,
-            missed=None if missed is None else missed.in_axes(rotation),
-            rests=tuple(rest.in_axes(rotation) for rest in self.rests),
+            missed=in_axes(self.missed, rotation),
+            rests=in_axes(self.rests, rotation),
         )
 
     def with_steps(self, steps: Steps) -> Window:

@@ -22,7 +22,7 @@ from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, in_level_axes
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import (
     FieldSample,
@@ -54,13 +54,9 @@ from magcal_ros.core.up.follower import propagated_up
 MAP_EVERY = 0.5  # seconds between points of the map of a drive
 
 
+@in_level_axes
 def examine_drive(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
-    return _examined(job.leveled).in_axes(job.knowledge.mounting.to_level.T)
-
-
-def _examined(job: DriveJob) -> DriveResult:
-    """Return the findings of a job in level axes."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     since_change, since_known = _irons(nodes, job, clock)

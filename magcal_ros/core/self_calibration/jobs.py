@@ -23,6 +23,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     known_sigma,
 )
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import in_axes
 from magcal_ros.core.knowledge import Knowledge, level_rotation
 from magcal_ros.core.monitoring.change import CHANGE, checks_of_change, local_chance
 from magcal_ros.core.samples.window import Window
@@ -62,11 +63,6 @@ class DriveCandidate:
     """Of the moving robot, with the mean field of its motors; None if no motors were fitted."""
     ratio: LikelihoodRatio | None = None
     """Over the calibration in force, on the data of the fit; None if the two hardly differ."""
-
-    def in_axes(self, rotation: FloatArray) -> DriveCandidate:
-        """Return the same candidate in rotated body axes."""
-        moving = None if self.in_motion is None else self.in_motion.in_axes(rotation)
-        return replace(self, calibration=self.calibration.in_axes(rotation), in_motion=moving)
 
     @property
     def sigma(self) -> float:
@@ -113,9 +109,8 @@ def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
 
 def difference(old: Calibration, new: Calibration) -> float:
     """Return the RMS difference of two calibrations over headings, without a constant; radians."""
-    level = new.level
-    before = old.correction.in_axes(level_rotation(new.upward))
-    return heading_swing(level.correction, before, new.strength, new.inclination)
+    both = in_axes((new.correction, old.correction), level_rotation(new.upward))
+    return heading_swing(*both, new.strength, new.inclination)
 
 
 class DecisionKind(str, Enum):
@@ -196,17 +191,9 @@ class DriveJob:
     watched: Calibration | None = None  # the one in force, also while another one is proposed
 
     @property
-    def leveled(self) -> DriveJob:
-        """The same job in level axes (`Mounting.to_level`)."""
-        turn = self.knowledge.mounting.to_level
-        return replace(
-            self,
-            log=self.log.in_axes(turn),
-            knowledge=self.knowledge.leveled,
-            in_force=None if self.in_force is None else self.in_force.in_axes(turn),
-            contests={kind: each.in_axes(turn) for kind, each in self.contests.items()},
-            watched=None if self.watched is None else self.watched.in_axes(turn),
-        )
+    def upward(self) -> FloatArray:
+        """Unit vector to the top of the vehicle in the IMU's axes, shape (3,)."""
+        return self.knowledge.upward
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,12 +207,6 @@ class DriveResult:
     ratios: Mapping[CandidateKind, LikelihoodRatio] = field(default_factory=dict)
     """Of the candidates in `DriveJob.contests`, on the data after their end."""
     refusal: str = ""  # why no fit of all twelve numbers was made; empty if one was made, or is due
-
-    def in_axes(self, rotation: FloatArray) -> DriveResult:
-        """Return the same results in rotated body axes."""
-        found, since = tuple(each.in_axes(rotation) for each in self.candidates), self.since_change
-        since = None if since is None else since.in_axes(rotation)
-        return replace(self, candidates=found, since_change=since)
 
 
 @dataclass(frozen=True)
@@ -288,8 +269,7 @@ def checks_of(fit: DriveCandidate, old: Calibration) -> Iterator[Check]:
     A field that is there only at rest, or only in motion, is of a place or of motors: the smaller
     figure of the two counts. A fit of the hard iron alone does not show a change of place.
     """
-    turn = level_rotation(fit.calibration.upward)
-    fit, old = fit.in_axes(turn), old.in_axes(turn)
+    fit, old = in_axes((fit, old), level_rotation(fit.calibration.upward))
     new = fit.calibration
     chance = CHANGE.chance * math.hypot(fit.sigma, calibration_sigma(old))
     size = new.evidence.figure(Figure.LOCAL_FIELD, 0.0) / old.strength

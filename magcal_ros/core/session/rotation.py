@@ -18,9 +18,8 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.knowledge import level_rotation
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.session import Progress
@@ -309,5 +308,5 @@ class TurnMonitor:
         if len(self._rows) < 10:
             return np.zeros(0), np.zeros(0), np.zeros((0, 2))
         turned, commanded, field, force = map(np.array, zip(*self._rows, strict=True))
-        level = minimal_rotation(unit(force.mean(axis=0)), np.array([0.0, 0.0, 1.0]))[:2]
+        level = level_rotation(force.mean(axis=0))[:2]
         return turned, commanded, field @ self._to_body.T @ level.T

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from magcal_ros.core.geometry import (
     exp_rotation,
     exp_rotations,
+    in_axes,
     minimal_rotation,
     rotation_about,
     rotation_angle,
@@ -118,3 +120,27 @@ def test_the_vector_of_a_rotation_of_any_angle_is_the_one_nearest_to_a_guess(ang
     away = found - angle * axis
     # Of a whole or half round the axis is that of the guess.
     assert np.abs(away).max() < (0.08 if angle in (math.pi, math.tau) else 1e-6)
+
+
+@dataclass(frozen=True)
+class Arrow:
+    tip: np.ndarray
+
+    def in_axes(self, rotation):
+        return Arrow(rotation @ self.tip)
+
+
+@dataclass(frozen=True)
+class Quiver:
+    name: str
+    first: Arrow | None
+    others: dict[str, tuple[Arrow, ...]]
+
+
+def test_everything_that_has_axes_is_turned():
+    turn = rotation_from_rpy(0.3, -0.2, 1.0)
+    arrow, number = Arrow(np.array([1.0, 2.0, 3.0])), np.arange(3.0)
+    quiver, last = in_axes([Quiver("ash", None, {"oak": (arrow,)}), number], turn)
+    assert (quiver.name, quiver.first, last is number) == ("ash", None, True)
+    assert quiver.others["oak"][0].tip == pytest.approx(turn @ arrow.tip)
+    assert in_axes(arrow, np.eye(3)) is arrow
