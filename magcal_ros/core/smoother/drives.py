@@ -28,7 +28,7 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.state import SECTORS, State
+from magcal_ros.core.smoother.state import SECTORS
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -110,7 +110,7 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     check_length(nodes)
     priors = priors_of(knowledge, log.bias_sigma).with_dead_axes(nodes.working)
     state, about = start(nodes, priors)
-    found = fit_on_wheels(nodes, about, state)
+    found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
     if found is None:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
     if not is_possible(found):
@@ -180,17 +180,8 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     shared = mean.copy()
     for which in (AT["gyro_bias"], EARTH):
         shared[which] = state.shared[which]
-    return fit_on_wheels(inside, replace(priors, mean=mean), replace(state, shared=shared))
-
-
-def fit_on_wheels(
-    nodes: Nodes, priors: Priors, state: State, like: Fit | None = None
-) -> Fit | None:
-    """Return the fit of a drive on wheels; None if a matrix is not positive definite."""
-    try:
-        return fit(nodes, priors, state, KINDS[ON_WHEELS], TOLERANCES, like)
-    except np.linalg.LinAlgError:
-        return None
+    priors, state = replace(priors, mean=mean), replace(state, shared=shared)
+    return fit(inside, priors, state, KINDS[ON_WHEELS], TOLERANCES)
 
 
 def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> DriveFit | None:

@@ -95,22 +95,24 @@ def fit(
     like: Fit | None = None,
     report: Callable[[int], object] | None = None,
     rival: float = math.inf,
-) -> Fit:
+) -> Fit | None:
     """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
     The priors are those about the start. `like` is the optimum of another kind of motion to start
     from, or a fit of this kind to continue. `report` is called with the number of each round.
     `rival` is the evidence at which a competing fit has the same weight; the iterations end early
-    if they cannot come near it. Raises `numpy.linalg.LinAlgError` if a matrix is not positive
-    definite.
+    if they cannot come near it. None if a matrix is not positive definite.
     """
-    model = Model.of(nodes, priors, start, kind)
-    point, first = _begin(model, start, kind, tolerances, like)
     limit = rival + NEGLIGIBLE
     # A fit that continues one at its optimum keeps its places: their evidences are compared.
     keeps = like is not None and like.kind == kind and like.converged
-    found = optimum([model], [point], tolerances, first, report, limit, keeps_places=keeps)
-    return found.fits([kind])[0]
+    try:
+        model = Model.of(nodes, priors, start, kind)
+        point, first = _begin(model, start, kind, tolerances, like)
+        found = optimum([model], [point], tolerances, first, report, limit, keeps_places=keeps)
+        return found.fits([kind])[0]
+    except np.linalg.LinAlgError:
+        return None
 
 
 def without_distortion(found: Fit) -> Fit:

@@ -18,23 +18,23 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
+    TOLERANCES,
     DriveFit,
     added_to,
     corrected,
-    fit_on_wheels,
     held_fit,
     held_priors,
     why_too_little,
 )
 from magcal_ros.core.smoother.factors import magnetic
 from magcal_ros.core.smoother.factors_of_motion import turned_by
-from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.fit import Fit, fit
 from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT, mixture
 from magcal_ros.core.smoother.model import path_between, solve_at
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import AT, MICROTESLA, STREET, UNKNOWNS
+from magcal_ros.core.smoother.unknowns import AT, KINDS, MICROTESLA, ON_WHEELS, STREET, UNKNOWNS
 
 FEWEST_SINCE = 4  # nodes before and after the moment at which iron was added
 STEEL_ODDS, STEEL_LENGTH = 300.0, 100.0
@@ -112,7 +112,7 @@ def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
     state = _begun(same, name, node)
     # The weights at the optimum without a change take the change for outliers.
     like = replace(same, point=replace(same.point, state=state, is_robust=False))
-    return fit_on_wheels(nodes, free, state, like)
+    return fit(nodes, free, state, KINDS[ON_WHEELS], TOLERANCES, like)
 
 
 def _moments(same: Fit) -> set[int]:

@@ -151,10 +151,9 @@ class _MotionFits:
         priors = self._priors if priors is None else priors
         start = self.nodes, priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         known = self.fits.get(name)
-        try:
-            rival = self._equal_weight(name) if ends_early else math.inf
-            found = fit(*start, tolerances, like, report, rival)
-        except np.linalg.LinAlgError:
+        rival = self._equal_weight(name) if ends_early else math.inf
+        found = fit(*start, tolerances, like, report, rival)
+        if found is None:
             return
         if not is_possible(found):
             self._impossible = True

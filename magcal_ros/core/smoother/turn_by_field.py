@@ -146,7 +146,8 @@ def _with_something_passing(usual: Fit) -> dict[str, Fit]:
 
 def _upright(priors: Priors, like: Fit) -> Fit | None:
     """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
-    found = _fitted(like.model.nodes, priors, like.state, RESTART, like)
+    nodes, state = like.model.nodes, like.state
+    found = fit(nodes, priors, state, KINDS[ON_THE_SPOT], RESTART, like)
     # With the field assumed uniform, soft iron of any size may explain its gradient.
     return found if found is not None and is_possible(found, math.inf) else None
 
@@ -161,21 +162,11 @@ def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
     return kept
 
 
-def _fitted(
-    nodes: Nodes, priors: Priors, state: State, tolerances: Tolerances, like: Fit | None = None
-) -> Fit | None:
-    """Return the fit of a turn; None if a matrix is not positive definite."""
-    try:
-        return fit(nodes, priors, state, KINDS[ON_THE_SPOT], tolerances, like)
-    except np.linalg.LinAlgError:
-        return None
-
-
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
     """Return the distinct starts of the highest evidence after a few rounds, in order."""
     up = unit(_smooth(nodes.time, nodes.mean_force, SMOOTHED))
     led = [
-        _fitted(turning, about, state, RANKING)
+        fit(turning, about, state, KINDS[ON_THE_SPOT], RANKING)
         for turning, state, about in starts_by_field(nodes, up, priors, knowledge.reference)
     ]
     return _distinct([each for each in led if each is not None], STARTS_WITHIN)[:ROOTS]
