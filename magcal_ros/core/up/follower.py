@@ -30,7 +30,7 @@ from magcal_ros.core.samples.streams import ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation, LinearAcceleration
-from magcal_ros.core.up.stillness import ZERO, DeadAxes
+from magcal_ros.core.up.stillness import ZERO, GyroAxes
 
 
 def propagated_up(window: Window) -> FloatArray:
@@ -144,10 +144,9 @@ class UpFollower:
 
     def __init__(self) -> None:
         self._propagation = GyroPropagation()
-        self._dead_axes = DeadAxes()
+        self._axes = GyroAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
-        self._changed = [-math.inf] * 3  # stamps of the newest change of each axis' rate
         self.turned = 0.0
         """Turn about up by the gyro, radians, without rests and what the bias may explain."""
         self.turned_unmeasured = 0.0
@@ -170,7 +169,7 @@ class UpFollower:
     @property
     def gyro_is_whole(self) -> bool:
         """Whether no axis of the gyro, if any, is dead."""
-        return not self._dead_axes.is_any
+        return not self._axes.are_dead
 
     @property
     def rate(self) -> Triple | None:
@@ -182,7 +181,7 @@ class UpFollower:
         """Whether the gyro has repeated its rate about up for longer than it may be silent."""
         x, y, z = map(abs, self.newest or ZERO)
         axis = (x, y, z).index(max(x, y, z))
-        return self.newest_stamp - self._changed[axis] > STREAMS.longest_gyro_step
+        return self.newest_stamp - self._axes.changed[axis] > STREAMS.longest_gyro_step
 
     @property
     def mean_rate(self) -> Triple:
@@ -237,9 +236,6 @@ class UpFollower:
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample
-        before = ZERO if last is None else last.rate
-        for axis in (k for k in range(3) if sample.rate[k] != before[k]):
-            self._changed[axis] = sample.stamp
         seconds = math.inf if last is None else sample.stamp - last.stamp
         force = scaled(sample.force, 1.0 / STANDARD_GRAVITY)
         if seconds <= 0.0:
@@ -300,10 +296,10 @@ class UpFollower:
         """Return the rate of a sample, None without one; if axes are dead, that about up."""
         if not self._has_gyro(sample):
             return None
-        self._dead_axes.add(sample.rate)
+        self._axes.add(sample.stamp, sample.rate)
         if self.gyro_is_whole:
             return sample.rate
-        return self._dead_axes.rate_about_up(sample.rate, self.newest or force)
+        return self._axes.rate_about_up(sample.rate, self.newest or force)
 
     def _has_gyro(self, sample: ImuSample) -> bool:
         """Whether a sample has a possible turn rate, and not an empty field of the message.
@@ -312,7 +308,7 @@ class UpFollower:
         rest.
         """
         size = length(sample.rate)
-        return size < LARGEST_RATE and (size > 0.0 or math.isfinite(max(self._changed)))
+        return size < LARGEST_RATE and (size > 0.0 or math.isfinite(max(self._axes.changed)))
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.

@@ -265,19 +265,22 @@ class GyroCheck:
         self._begin()
 
 
-class DeadAxes:
-    """Detects axes of a gyro that never change, and so hide tilting.
+class GyroAxes:
+    """Follows when the axes of a gyro change, and detects those that never do.
 
-    Two axes of a simulated gyro without noise may rightly be constant.
+    Such dead axes hide tilting. Two axes of a simulated gyro without noise may rightly be constant.
+    `changed` are the stamps of the newest change of each axis, seconds; the first rates are a
+    change from zero.
     """
 
     def __init__(self) -> None:
+        self.changed = [-math.inf] * 3
         self._last: list[Triple] = []
         self._has_changed = [False, False, False]
         self._noisy = 0
 
     @property
-    def is_any(self) -> bool:
+    def are_dead(self) -> bool:
         """Whether an axis has never changed; false until another axis has shown noise."""
         return self._noisy >= CHECK.dead and not all(self._has_changed)
 
@@ -293,13 +296,15 @@ class DeadAxes:
             return None
         return scaled(up, dot(rate, working) / square)
 
-    def add(self, rate: Triple) -> None:
+    def add(self, stamp: float, rate: Triple) -> None:
         """Take the next rate, rad/s."""
-        if all(self._has_changed):
-            return
-        if len(self._last) == 2:
-            before, last = self._last
+        last = self._last[-1] if self._last else ZERO
+        new = [k for k in range(3) if rate[k] != last[k]]
+        for axis in new:
+            self.changed[axis] = stamp
+        if len(self._last) == 2 and not all(self._has_changed):
+            before = self._last[0]
             bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
-            self._has_changed = [a or rate[k] != last[k] for k, a in enumerate(self._has_changed)]
+            self._has_changed = [a or k in new for k, a in enumerate(self._has_changed)]
             self._noisy += max(bends) > NOISELESS * max(map(abs, rate))
         self._last = [*self._last[-1:], rate]
