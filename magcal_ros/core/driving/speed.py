@@ -17,7 +17,6 @@ from magcal_ros.core.samples.streams import (
     StampGuard,
     TravelSample,
     VelocitySample,
-    enclosing,
 )
 
 Span = TypeVar("Span", float, FloatArray)
@@ -104,19 +103,9 @@ class SpeedTrack:
         """Longest gap that is interpolated, seconds."""
         return 2.0 * SPEED.seldom if self.is_quick else SPEED.receiver_gap
 
-    def at(self, stamp: float) -> float | None:
-        """Return the speed, m/s, at a stamp of the IMU; None unless samples enclose the stamp."""
-        stamp += self.delay
-        found = enclosing(self._kept, stamp)
-        if found is None:
-            return None
-        sample, later = found
-        if later is None:
-            return sample[1] if sample[0] == stamp else None
-        span = later[0] - sample[0]
-        if span > self.gap or is_jump(sample, later):
-            return None
-        return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
+    def at(self, stamp: float) -> float:
+        """Return the speed, m/s, at a stamp of the IMU; NaN unless samples enclose the stamp."""
+        return float(self.along(np.array([stamp]), self.delay)[0])
 
     def has_passed(self, stamp: float) -> bool:
         """Whether no further sample before a stamp of the IMU can come."""
@@ -125,17 +114,24 @@ class SpeedTrack:
     def along(self, stamps: FloatArray, delay: float | FloatArray) -> FloatArray:
         """Return the speed at stamps (n,) of the IMU for another latency, NaN if unknown.
 
-        For several latencies, shape (d, 1), the result has the shape (d, n).
+        It is unknown outside of the samples, and from a sample before a gap or a jump until the
+        next. For several latencies, shape (d, 1), the result has the shape (d, n).
         """
-        moments = stamps + delay
-        if len(self._kept) < 2:
+        moments, needed = stamps + delay, list[tuple[float, float]]()
+        first = float(moments.min(initial=math.inf))
+        for sample in reversed(self._kept):
+            needed.append(sample)
+            if sample[0] < first:
+                break
+        if not needed:
             return np.full(moments.shape, math.nan)
-        time, speed = np.array(self._kept).T
-        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
+        time, speed = np.array(needed[::-1]).T
         span, change = np.diff(time), np.diff(speed)
         broken = (span > self.gap) | (np.abs(change) > largest_change(span))
         found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
-        found[broken[after - 1]] = math.nan
+        # From the newest sample on, there is no span that may be broken.
+        span_of = np.searchsorted(time, moments, side="right") - 1
+        found[np.append(broken, False)[span_of]] = math.nan
         return np.asarray(found)
 
     def copy(self) -> SpeedTrack:

@@ -196,7 +196,8 @@ class TravelEstimator:
             trip = self.acceleration.trip_at(moment)
             sign = trip.sign
             if track is not None and track.is_signed:
-                sign = track.at(moment + track.delay) or sign
+                speed = track.at(moment + track.delay)
+                sign = speed if abs(speed) > 0.0 else sign
             elif self.acceleration.is_open(trip) and len(self._pending) < PENDING:
                 return
             chord = self._pending.popleft()

@@ -96,12 +96,12 @@ class VehicleAcceleration:
             if track is not None and not track.has_passed(first.stamp) and not is_late:
                 break
             self._waiting.popleft()
-            speed = None if track is None else track.at(first.stamp)
-            if track is None or speed is None:
+            speed = math.nan if track is None else track.at(first.stamp)
+            if track is None or math.isnan(speed):
                 self._try_anew()
             else:
                 self._meet(first, speed, track)
-            met.append((first, math.nan if speed is None else speed * self.sign))
+            met.append((first, speed * self.sign))
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> LinearAcceleration | None:

@@ -39,9 +39,11 @@ def test_there_is_no_speed_between_samples_too_far_apart():
     track = SpeedTrack(SpeedSource.ODOMETRY)
     for stamp in (1.0, 1.1, 3.0):
         track.add(stamp, 2.0)
-    assert track.at(1.05) == 2.0
-    assert track.at(2.0) is None
-    assert track.at(3.5) is None
+    assert track.at(1.05) == track.at(3.0) == 2.0
+    # From the sample before the gap on, the speed is not known.
+    assert math.isnan(track.at(1.1))
+    assert math.isnan(track.at(2.0))
+    assert math.isnan(track.at(3.5))
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0])
@@ -73,8 +75,7 @@ def test_time_that_is_set_back_discards_later_samples():
     for step in range(200):
         track.add(5.0 + 0.1 * step, 1.0)
     assert track.last == 1.0
-    assert np.isnan(track.along(np.array([40.0]), 0.0))
-    assert track.at(40.0) is None
+    assert math.isnan(track.at(40.0))
 
 
 def test_a_single_outlier_is_ignored_and_a_lasting_speed_is_not():
@@ -87,7 +88,7 @@ def test_a_single_outlier_is_ignored_and_a_lasting_speed_is_not():
     track.add(10.3, 20.0)
     assert track.last == 20.0
     # No vehicle can have driven between the two.
-    assert track.at(10.2) is None
+    assert math.isnan(track.at(10.2))
 
 
 def test_wheels_at_one_hertz_are_interpolated():
