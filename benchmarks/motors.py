@@ -150,7 +150,7 @@ def headings(
     drive = robotic.drive
     calibration = calibration if way != "none" else replace(calibration, motors=None)
     up, compass = UpFollower(), Compass(calibration)
-    reader = CompassReader(up)
+    reader = CompassReader(up, lambda _: (speed, current))
     learning = MotorLearning(calibration) if way == "drive" else None
     doubt = FieldDeviation(calibration)
     yaws = dict(zip(drive.time.tolist(), drive.imu_yaw.tolist(), strict=True))
@@ -168,12 +168,12 @@ def headings(
                 current, waiting = float(waiting[1]), next(battery, None)
             up.add_field(sample.stamp, sample.field)
             if learning is not None and up.rate is not None:
-                now = reader.motor_state(sample.stamp, compass, speed, current)
+                now = reader.motor_state(sample.stamp, compass)
                 learning.add(sample.stamp, sample.field, up.rate, now)
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp
                     compass.use_motors(learning.motors)
-            seen = reader.read(compass, sample, speed, current)
+            seen = reader.read(compass, sample)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

@@ -207,19 +207,19 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
 def _readings(calibration: Calibration, window: Window, up: FloatArray) -> Iterator[CompassReading]:
     """Yield the samples as the node reads them, if it has run before: with `up` (n, 3)."""
     compass, follower, battery = Compass(calibration), UpFollower(), window.battery
-    reader = CompassReader(follower)
     unknown = np.full(window.field.shape, math.nan)
     rates = unknown if window.angular_rate is None else window.angular_rate
-    speeds = unknown[:, 0] if window.speed is None else window.speed
-    messages = () if battery is None else np.column_stack([battery.time, battery.current])
-    currents = list(map(tuple, messages))
-    rows = (window.time, window.field, window.specific_force, rates, speeds, up)
-    for stamp, raw, force, rate, speed, settled in zip(*(n.tolist() for n in rows), strict=True):
+    speeds = [] if window.speed is None else [*zip(window.time, window.speed, strict=True)]
+    currents = [] if battery is None else [*zip(battery.time, battery.current, strict=True)]
+    reader = CompassReader(
+        follower, lambda stamp: (newest_at(speeds, stamp), newest_at(currents, stamp))
+    )
+    rows = (window.time, window.field, window.specific_force, rates, up)
+    for stamp, raw, force, rate, settled in zip(*(n.tolist() for n in rows), strict=True):
         follower.add(ImuSample(stamp, force, rate))
         follower.add_field(stamp, raw)
-        inputs = speed, newest_at(currents, stamp)
         known = Up(settled, calibration.noise_up**2)
-        yield reader.read(compass, FieldSample(stamp, raw), *inputs, up=known)
+        yield reader.read(compass, FieldSample(stamp, raw), up=known)
 
 
 def _reference(

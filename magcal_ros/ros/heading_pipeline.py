@@ -14,11 +14,11 @@ from rclpy.node import Node
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
-from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.compass import CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.samples_tuning import COMPLAINTS
-from magcal_ros.core.samples.streams import FieldSample, Streams
+from magcal_ros.core.samples.streams import Streams
 from magcal_ros.core.samples.units import InputCounts, complaints
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
@@ -258,11 +258,6 @@ class HeadingPipeline:
         store.keep(self.motors.follow(mode, is_turning, kept))
         self.reference.refresh()
         store.keep(self.travel.follow(self.reference.field, announcer))
-
-    def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
-        """Return the corrected field, up and heading of a field sample of these streams."""
-        inputs = (*self.motors.inputs(sample.stamp), streams.max_gap, streams.turned_unchanged)
-        return self.motors.reader.read(compass, sample, *inputs)
 
     def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""

@@ -146,7 +146,8 @@ class Magnetometer:
             return
         self.owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
-            reading = self.pipeline.reading_of(self.compass, sample, streams)
+            age = streams.max_gap, streams.turned_unchanged
+            reading = self.pipeline.motors.reader.read(self.compass, sample, *age)
             self.out.publish(reading.measured, arrived, self.pipeline.body_frame())
             self.pipeline.take(self.number, reading, arrived)
         if not streams.is_repeated:

@@ -255,7 +255,7 @@ class Motors:
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._estimator = up, travel.estimator
-        self.reader = CompassReader(up)
+        self.reader = CompassReader(up, self.inputs)
         self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
@@ -289,8 +289,7 @@ class Motors:
         rate = self._up.rate if self._learns else None
         if rate is None and compass.motors is None:
             return sample
-        inputs = self.inputs(sample.stamp)
-        motor_state = self.reader.motor_state(sample.stamp, compass, *inputs)
+        motor_state = self.reader.motor_state(sample.stamp, compass)
         if rate is not None:
             if self._learning is None:
                 known = replace(compass.calibration, motors=compass.motors)

@@ -104,12 +104,11 @@ def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motor
         graph.calibrators[0]._pipeline.motors,
     )
     stamp, state = actor.ride.stamp, now_running.reader.motor_state
-    inputs = now_running.inputs(stamp)
     compasses = [
         Compass(replace(calibration, motors=replace(calibration.motors, reference=amperes)))
         for amperes in (0.5, 2.0)
     ]
-    found = [state(stamp, each, *inputs).current for each in compasses]
+    found = [state(stamp, each).current for each in compasses]
     assert found == [2.5, 1.0]
     # Another calibration keeps the inputs of the motors.
     loaded = actor.answer(actor.call("load"))

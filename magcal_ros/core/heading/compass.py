@@ -7,6 +7,7 @@ several times faster than numpy arrays.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -259,28 +260,28 @@ class CompassReading(NamedTuple):
 class CompassReader:
     """Reads compasses: up comes from a follower, the motors' state from it, wheels and battery.
 
-    The follower has received all messages up to the stamp of a field sample, in seconds. Speeds are
-    in m/s and currents in amperes, NaN if unknown.
+    The follower has received all messages up to the stamp of a field sample, in seconds. `inputs`
+    gives the speed (m/s) and the current (A) at a stamp, NaN if unknown.
     """
 
-    def __init__(self, follower: UpFollower) -> None:
-        self._follower, self.detector = follower, MotionDetector()
+    def __init__(
+        self,
+        follower: UpFollower,
+        inputs: Callable[[float], tuple[float, float]] = lambda _: (math.nan, math.nan),
+    ) -> None:
+        self._follower, self._inputs, self.detector = follower, inputs, MotionDetector()
 
-    def motor_state(
-        self, stamp: float, compass: Compass, speed: float, current: float
-    ) -> MotorState:
+    def motor_state(self, stamp: float, compass: Compass) -> MotorState:
         """Return the state of the motors, with the current beyond the compass's reference."""
         still, rate = self._follower.is_at_rest, self._follower.rate
         reference = math.nan if compass.motors is None else compass.motors.reference
-        inputs = speed, current, reference, compass.upward
+        inputs = *self._inputs(stamp), reference, compass.upward
         return self.detector.at(stamp, rate, still, *inputs)
 
     def read(
         self,
         compass: Compass,
         sample: FieldSample,
-        speed: float = math.nan,
-        current: float = math.nan,
         max_gap: float = STREAMS.max_gap,
         turned_unchanged: float = 0.0,
         up: Up | None = None,
@@ -296,7 +297,7 @@ class CompassReader:
         up, rate = up or follower.at(stamp, max_gap), follower.rate
         measured, motors = compass.correct(sample.field), None
         if compass.motors is not None:
-            state = self.motor_state(stamp, compass, speed, current)
+            state = self.motor_state(stamp, compass)
             measured, motors = compass.at_rest(stamp, sample.field, rate, state)
         field = propagated(measured, follower.turn_between(stamp - compass.latency, stamp))
         if up is not None:

@@ -274,12 +274,13 @@ def without_motors(
         yield from readings
         return
     compass, replay = Compass(calibration), TravelReplay(())
-    reader = CompassReader(replay.up)
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
+    reader = CompassReader(
+        replay.up, lambda stamp: (newest_at(speeds, stamp), newest_at(currents, stamp))
+    )
     for reading in replay.readings(readings):
         if isinstance(reading, FieldSample):
-            speed, current = (newest_at(each, reading.stamp) for each in (speeds, currents))
-            field = reader.read(compass, reading, speed, current).measured
+            field = reader.read(compass, reading).measured
             x, y, z = calibration.correction.undo(np.array(field)).tolist()
             yield FieldSample(reading.stamp, (x, y, z))
         else:
