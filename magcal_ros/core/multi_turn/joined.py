@@ -345,7 +345,7 @@ def join(
     # The advice repeats the turn with the longest arc at other tilts.
     whole = int(np.argmax([turn.found[0].arc for turn in members]))
     advice = advise(known[-1], joint_fit.fits[whole], mounting)
-    multi_turn = MultiTurnReport(_turn_results(turns, shown), shown[-1], advice)
+    multi_turn = MultiTurnReport(_turn_results(turns, shown), advice)
     joint = joint_estimate(joint_fit, misfit, members, knowledge) if count > 1 else None
     return turns, joint, multi_turn
 
@@ -370,5 +370,5 @@ def _turn_results(turns: list[Turn], shown: Sequence[TurnAccuracy]) -> tuple[Tur
         words = turn.refusal_words
         if now is not None:
             words, before = now.in_words if before is None else now.improvement(before), now
-        results.append(TurnResult(turn.name, now is not None, words, now))
+        results.append(TurnResult(turn.name, words, now))
     return tuple(results)

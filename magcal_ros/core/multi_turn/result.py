@@ -155,9 +155,13 @@ class TurnResult:
     """The result for one turn."""
 
     name: str
-    joined: bool
     words: str  # what it added, or why it was left out
     shown: TurnAccuracy | None = None  # standard deviations after it joined; None if it did not
+
+    @property
+    def joined(self) -> bool:
+        """Whether it is part of the estimate."""
+        return self.shown is not None
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,6 @@ class MultiTurnReport:
     """The report on joined turns."""
 
     turns: tuple[TurnResult, ...]  # one for each turn, in order
-    shown: TurnAccuracy  # standard deviations by the turns that joined
     advice: tuple[TurnAdvice, ...]  # further turns, the best first
 
     @property
@@ -177,6 +180,11 @@ class MultiTurnReport:
     def newest(self) -> int:
         """Index of the last turn that joined; the estimate's residuals are on its samples."""
         return self.joined[-1]
+
+    @property
+    def shown(self) -> TurnAccuracy:
+        """Standard deviations by all turns that joined."""
+        return next(each.shown for each in reversed(self.turns) if each.shown is not None)
 
     @property
     def advice_in_words(self) -> str:

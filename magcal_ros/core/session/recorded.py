@@ -248,7 +248,7 @@ def fit_several(
         return outcome, used[-1]
     newest = used[outcome.multi_turn.newest]
     results = dict(zip(used, outcome.multi_turn.turns, strict=True))
-    results |= {k: TurnResult(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
+    results |= {k: TurnResult(names[k], str(why).rstrip(".")) for k, why in left_out.items()}
     ordered = tuple(results[index] for index in sorted(results))
     return replace(outcome, multi_turn=replace(outcome.multi_turn, turns=ordered)), newest
 

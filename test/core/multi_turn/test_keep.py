@@ -77,8 +77,8 @@ def test_the_kept_turns_are_bounded(windows):
     shown = TurnAccuracy(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     kept = KeptTurns()
     for _ in range(TUNING.most_turns + 2):
-        turns = tuple(TurnResult(f"{k}", True, "") for k in range(len(kept.windows) + 1))
-        kept = kept.joined(window, MultiTurnReport(turns, shown, ()))
+        turns = tuple(TurnResult(f"{k}", "", shown) for k in range(len(kept.windows) + 1))
+        kept = kept.joined(window, MultiTurnReport(turns, ()))
     assert len(kept.windows) == TUNING.most_turns
     assert max(len(each) for each in kept.windows) <= TUNING.most_samples
     assert kept.names[-1] == f"turn {TUNING.most_turns + 2}"
