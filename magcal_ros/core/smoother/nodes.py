@@ -51,7 +51,7 @@ class Spacing:
     """Rotation within a node that a low sample rate may miss, radians."""
     short: float = 0.3
     """Seconds of a node beside the ends of a window, where rests are short, and without a gyro."""
-    most: int = 1000  # nodes; in longer windows all nodes become longer
+    most: int = 400  # nodes; in longer windows all nodes become longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +239,7 @@ def _first_rows(
     longest = np.where(from_end < 2.0 * spacing.longest, short, spacing.longest)
     worth = np.maximum.reduce([np.diff(time) / longest, turned, missed])
     clock = accumulated(worth)
-    clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
+    clock /= max(1.0, clock[-1] / spacing.most)
     clock += accumulated(lost)
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # A short remainder at the end is dropped: as a node it would look quiet.
