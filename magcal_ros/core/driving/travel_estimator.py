@@ -196,7 +196,7 @@ class TravelEstimator:
             trip = self.acceleration.trip_at(moment)
             sign = trip.sign
             if track is not None and track.is_signed:
-                speed = track.at(moment + track.delay)
+                speed = track.at(moment)
                 sign = speed if abs(speed) > 0.0 else sign
             elif self.acceleration.is_open(trip) and len(self._pending) < PENDING:
                 return
