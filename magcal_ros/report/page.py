@@ -24,7 +24,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
     every_figure,
 )
-from magcal_ros.core.doctor.health import Finding
+from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.sensor_report import SensorReport
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import MultiTurnReport

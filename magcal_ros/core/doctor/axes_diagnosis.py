@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypotheses
 from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
-from magcal_ros.core.doctor.health import (
+from magcal_ros.core.doctor.finding import (
     Finding,
     ok_or_severe,
     ok_or_warning,

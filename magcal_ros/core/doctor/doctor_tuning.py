@@ -120,11 +120,6 @@ class ErrorTuning:
 ERRORS = ErrorTuning()
 
 
-def is_vague(sigma: float, error: float) -> bool:
-    """Return whether a quantity is too uncertain to show an error that is reported."""
-    return not sigma < 0.5 * error
-
-
 @dataclass(frozen=True)
 class HealthTuning:
     """Limits of the faults of one stream, and of stamps from two clocks."""

@@ -11,34 +11,22 @@ from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_l
 from magcal_ros.core.doctor.alignment import FIELD, IRON, UP
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
-from magcal_ros.core.doctor.doctor_tuning import ERRORS, is_vague
-from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
-from magcal_ros.core.doctor.motion import (
-    FULL_TURN,
-    MOVE_THE_SENSOR,
-    TURN_BETWEEN_RESTS,
-    MotionResult,
-)
+from magcal_ros.core.doctor.doctor_tuning import ERRORS
+from magcal_ros.core.doctor.finding import Finding, is_vague, ok_or_warning, undetermined
+from magcal_ros.core.doctor.health import WRONG_UNIT
+from magcal_ros.core.doctor.motion import MotionResult
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
+from magcal_ros.core.doctor.turn_errors import FULL_TURN, MOTORS, motors_finding
 from magcal_ros.core.doctor.turn_fit import TurnFit
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.units import unit_by_strength
 
 UNIT_FIRST = "correct the field's unit first, then check again"
-MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
-BETWEEN_RESTS = "stand still, turn, and stand still again"
-ON_THE_SPOT = (
-    "the robot drove while it turned, and the field differs from place to place; stand still, "
-    "turn on the spot, and stand still again"
-)
+AGAINST_REFERENCE = "field: strength, inclination"
 MOTORS_OFF = "by hand with the motors off (their field hides it)"
 HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{NOSE} {MOTORS_OFF}"
 """The movements to ask for, in place of `FULL_TURN` and `LIFT`, if motors change the field."""
-OR_LATE = (
-    ". Late stamps of the field look the same: to tell them apart, start and stop several times "
-    "while you turn"
-)
 
 
 def is_vague_strength(strength: Belief) -> bool:
@@ -175,29 +163,3 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
     )
     remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
     return ok_or_warning("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
-
-
-def motors_finding(turn: TurnFit | None, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
-    """Check for a field that exists only while the robot turns; a late field looks the same."""
-    state = hypothesis.state
-    if turn is not None and turn.drove:
-        return undetermined("motors", MOTORS, ON_THE_SPOT)
-    if turn is None or turn.motors is None:
-        return undetermined("motors", MOTORS, BETWEEN_RESTS)
-    field, off = turn.motors, turn.motors_sigma
-    strength = float(np.linalg.norm(field))
-    is_seen = strength > max(ERRORS.motors, CLEAR * off)
-    if off > ERRORS.motors and not is_seen:
-        return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    level = float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
-    turned = math.atan2(strength, level)
-    words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
-    evidence = (
-        f"({words}) ± {off * 1e6:.1f} µT while the robot turns: up to {math.degrees(turned):.0f}° "
-        "of heading"
-    )
-    if strength <= ERRORS.motors:
-        evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
-    remedy = MOVE_THE_SENSOR if turned > ERRORS.turned_too_far else TURN_BETWEEN_RESTS
-    remedy += "" if lag_is_shown else OR_LATE
-    return ok_or_warning("motors", MOTORS, evidence, remedy * is_seen)

@@ -1,15 +1,14 @@
-"""The findings of a report, and the faults that each sensor stream shows by itself."""
+"""The faults that each sensor stream shows by itself."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.assessment.verdict import gravity_fault
 from magcal_ros.core.doctor.doctor_tuning import HEALTH
+from magcal_ros.core.doctor.finding import Finding, ok_or_severe, ok_or_warning, vector_in_words
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
@@ -26,47 +25,9 @@ WRONG_UNIT = "field_unit"  # `Finding.key`
 COMPARED = 4  # steps of the numbers below an extreme that are compared with it
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One line of the report."""
-
-    key: str  # identifier of the check or the fault, for programs
-    name: str  # name of the check, for people
-    grade: Grade
-    """`EXCELLENT` if nothing is wrong, `GOOD` if the movement does not show it, `WARN` for a fault
-    worth checking, `REFUSED` for a fault that makes headings wrong."""
-    evidence: str  # the measured values
-    remedy: str = ""  # the change to make; empty if nothing is wrong
-
-    @property
-    def is_wrong(self) -> bool:
-        """Whether there is something to change."""
-        return self.grade.rank >= Grade.WARN.rank
-
-
-def ok_or_warning(key: str, name: str, evidence: str, remedy: str = "") -> Finding:
-    """Return a finding: a warning if there is a remedy, else excellent."""
-    return Finding(key, name, Grade.WARN if remedy else Grade.EXCELLENT, evidence, remedy)
-
-
-def ok_or_severe(key: str, name: str, evidence: str, remedy: str) -> Finding:
-    """Return a finding: of a fault that makes headings wrong if there is a remedy."""
-    return Finding(key, name, Grade.REFUSED if remedy else Grade.EXCELLENT, evidence, remedy)
-
-
-def undetermined(key: str, name: str, why: str) -> Finding:
-    """Return a finding on a quantity that is not determined; `why` says what is missing."""
-    return Finding(key, name, Grade.GOOD, f"not shown: {why}")
-
-
 TURN_ON_THE_SPOT = (
     "a turn on the spot between two rests can be calibrated all the same, a drive cannot"
 )
-
-
-def vector_in_words(vector: FloatArray) -> str:
-    """Return the three numbers with two digits, in brackets, without a negative zero."""
-    return f"({', '.join(f'{round(float(value), 2) + 0.0:.2f}' for value in vector)})"
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:

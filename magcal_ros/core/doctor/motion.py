@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,51 +19,24 @@ from magcal_ros.core.doctor.axes_hypotheses import (
     compare_axes,
     likely_rate_factor,
 )
-from magcal_ros.core.doctor.doctor_tuning import AXES, ERRORS, is_vague
-from magcal_ros.core.doctor.health import (
-    Finding,
-    ok_or_severe,
-    ok_or_warning,
-    undetermined,
-    vector_in_words,
-)
+from magcal_ros.core.doctor.doctor_tuning import AXES
+from magcal_ros.core.doctor.finding import Finding, ok_or_severe, ok_or_warning, undetermined
 from magcal_ros.core.doctor.prepared import CleanLog, segment_of_log
-from magcal_ros.core.doctor.turn_fit import TurnFit, force_latency
+from magcal_ros.core.doctor.turn_fit import TurnFit
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge, Mounting
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting
 from magcal_ros.core.samples.rest import LongestRest, longest_rest
 from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog, working_axes
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that determines all quantities of a report."""
-
-FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"
-NO_BURSTS = "the stamps must not come in bursts"
-FIELD_LAG = 2.0 * AXES.settled
-"""Seconds, the error for `is_vague` of the field's latency. Its sigma is the smoother's, which is
-right even if a movement shows little; that of the accelerometer's latency is too small then."""
-STARTS = "start and stop while you turn, at 20 °/s or more"
-LEANS = "lift the nose by 20° within a second or two, or drive over a kerb"
 NO_GYRO = (
     "without a gyro, turned, swapped or mirrored axes of the magnetometer cannot be recognised: "
     "check them by the data sheet, or drive straight with a speed or a course"
 )
-
-TURN_BETWEEN_RESTS = (
-    "if motors turn the robot, their current adds a field. Calibrate by a turn that begins and "
-    "ends at rest: it measures this field, and the node subtracts it while the robot moves"
-)
-MOVE_THE_SENSOR = (
-    "if motors turn the robot, their current adds a field, too large to be subtracted well. Move "
-    "the sensor away from motors, motor drivers and battery wires, and twist each pair of wires"
-)
-"""Remedies if the field changes when the robot starts to turn."""
-
-
-AXES_FIRST = "correct the axes as described above, then check again"
 GRAVITY_FIRST = "correct the accelerometer as described below, then check again"
 
 
@@ -83,6 +55,7 @@ class MotionResult:
     """Whether gravity's sign is wrong; None if undecided."""
     rest: LongestRest | None = None
     """A rest that the field proves, with rates as published."""
+    missing: str = ""  # the movement that the comparison needs; empty if it was made
     turn: TurnFit | None = None  # the fit by the hypothesis, if it was compared with others
 
 
@@ -132,65 +105,7 @@ def compare(
     findings = _unit(factor, likely), stands, *diagnosis.findings
     hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
     axes, turn = diagnosis.axes, diagnosis.turn
-    return MotionResult(prepared, findings, axes, hypothesis, factor, up_is_down, rest, turn)
-
-
-def findings_by_turn(
-    found: MotionResult, hypothesis: AxesHypothesis, turn: TurnFit | None
-) -> list[Finding]:
-    """Return the findings on errors of the gyro and on latencies.
-
-    If those of field and accelerometer are equal, the gyro's stamps are early.
-    """
-    why = NO_BURSTS if found.prepared.restamped else FULL_TURN
-    # Each of several possible corrections of the axes would give other errors.
-    is_clear = not any(each.key == "axes" and each.is_wrong for each in found.findings)
-    clear = (turn, why) if is_clear else (None, AXES_FIRST)
-    lines = _gyro_errors(hypothesis, found, *clear)
-    if found.prepared.restamped:
-        return [*lines, undetermined("latency", "field: latency", NO_BURSTS)]
-    field = Belief.unknown() if turn is None else turn.latency
-    force = force_latency(hypothesis)
-    field_lag, force_lag = _wrong_by(field, FIELD_LAG), _wrong_by(force, ERRORS.lag)
-    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < ERRORS.lag:
-        of_field = of_force = (
-            f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
-            "when it measures, and give it the accelerometer's low-pass filter"
-        )
-    else:
-        seconds = f"{abs(field_lag):.3f} s"
-        change = f"add {seconds} to the field's, or subtract it from the IMU's"
-        if field_lag > 0.0:
-            change = f"subtract {seconds} from the field's, or add it to the IMU's"
-        of_field = (
-            f"stamp both sensors when they measure, or correct the stamps in the driver: {change}"
-        )
-        of_force = (
-            f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
-            "both the same low-pass filter, and put values of the same moment into one message"
-        )
-    of_field, of_force = of_field * bool(field_lag), of_force * bool(force_lag)
-    return [
-        *lines,
-        _latency("latency", "field", field, FIELD_LAG, STARTS, of_field),
-        _latency("force_latency", "accelerometer", force, ERRORS.lag, LEANS, of_force),
-    ]
-
-
-def _wrong_by(latency: Belief, error: float) -> float:
-    """Return a latency in seconds; zero if it is too small or too uncertain to be reported."""
-    is_clear = abs(latency.value) >= max(ERRORS.lag, CLEAR * latency.sigma)
-    return latency.value if is_clear and not is_vague(latency.sigma, error) else 0.0
-
-
-def _latency(
-    key: str, sensor: str, latency: Belief, error: float, shown_by: str, remedy: str
-) -> Finding:
-    if is_vague(latency.sigma, error):
-        return undetermined(key, f"{sensor}: latency", shown_by)
-    lag, off = round(latency.value * 1e3), latency.sigma * 1e3
-    how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
-    return ok_or_warning(key, f"{sensor}: latency", how, remedy)
+    return MotionResult(prepared, findings, axes, hypothesis, factor, up_is_down, rest, turn=turn)
 
 
 def _explained(
@@ -217,18 +132,12 @@ def _explained(
 def _nothing_shown(
     prepared: CleanLog, rest: LongestRest | None, turned_left: bool | None, mounting: Mounting
 ) -> MotionResult:
-    """Return the findings without a comparison; a rest still shows the gyro's bias."""
+    """Return the result without a comparison; a rest still shows the gyro's bias."""
     log = prepared.log
-    why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
-    bias = undetermined("gyro_bias", "gyro: bias", why)
-    findings = (
-        undetermined("axes", "axes", why),
-        bias if rest is None else _bias(rest.rate, rest.sigma, 1.0),
-        undetermined("rate_scale", "gyro: scale", why),
-        undetermined("latency", "field: latency", why),
-        check_gravity_direction(log, None, None, turned_left, mounting)[0],
-    )
-    return MotionResult(prepared, findings)
+    missing = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
+    up = check_gravity_direction(log, None, None, turned_left, mounting)[0]
+    findings = undetermined("axes", "axes", missing), up
+    return MotionResult(prepared, findings, rest=rest, missing=missing)
 
 
 def _unit(factor: float, likely: float) -> Finding:
@@ -243,49 +152,3 @@ def _unit(factor: float, likely: float) -> Finding:
         f"{UNIT_ERRORS[factor]}; multiply them by {factor:.6g} in the driver"
     )
     return ok_or_severe("rate_unit", "gyro: unit", evidence, words)
-
-
-def _gyro_errors(
-    hypothesis: AxesHypothesis, found: MotionResult, turn: TurnFit | None, why: str
-) -> list[Finding]:
-    """Return the findings on the gyro's bias and scale; `why` says why there is no turn."""
-    factor, rest = found.factor, found.rest
-    bias, off = np.zeros(3), math.inf
-    if turn is not None:
-        # In the gyro's own axes, so that the driver can subtract it.
-        bias, off = hypothesis.gyro @ turn.bias, turn.bias_sigma
-    if rest is not None and factor * rest.sigma < off:
-        bias, off = factor * rest.rate, factor * rest.sigma
-    line = _bias(bias, off, factor)
-    if is_vague(off, ERRORS.bias):
-        line = undetermined("gyro_bias", "gyro: bias", FULL_TURN if why == NO_BURSTS else why)
-    if turn is None:
-        return [line, undetermined("rate_scale", "gyro: scale", why)]
-    return [line, _scale(turn.scale, factor)]
-
-
-def _scale(scale: Belief, factor: float) -> Finding:
-    if is_vague(scale.sigma, ERRORS.scale):
-        within = f"within {scale.sigma:.1%}; " if math.isfinite(scale.sigma) else ""
-        return undetermined("rate_scale", "gyro: scale", within + FULL_TURN)
-    too_large = abs(scale.value) > max(ERRORS.scale, CLEAR * scale.sigma)
-    evidence = f"{scale.value:+.1%} ± {scale.sigma:.1%}"
-    # Motors and iron that change the field during one turn look like a scale error.
-    remedy = (
-        "check again: stand still, turn a full circle on the spot, away from iron, and stand "
-        f"still. If the field again turns by so much {'less' if scale.value > 0.0 else 'more'} "
-        f"than the gyro shows, multiply the gyro's rates by {factor / (1.0 + scale.value):.4g} in "
-        "the driver"
-    )
-    return ok_or_warning("rate_scale", "gyro: scale", evidence, remedy * too_large)
-
-
-def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
-    evidence = f"{vector_in_words(np.degrees(bias))} ± {math.degrees(off):.2f} °/s"
-    as_published = ", ".join(f"{value / factor:.4g}" for value in bias)
-    remedy = (
-        "let the driver measure the gyro's bias while the robot stands, or subtract "
-        f"({as_published}) from its rates"
-    )
-    too_large = float(np.linalg.norm(bias)) > max(ERRORS.bias, CLEAR * off)
-    return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)

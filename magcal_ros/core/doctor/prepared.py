@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.doctor_tuning import HEALTH, TURN, WIDE
-from magcal_ros.core.doctor.health import Finding
+from magcal_ros.core.doctor.finding import Finding, ok_or_severe, ok_or_warning
 from magcal_ros.core.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -68,7 +68,7 @@ def prepare(log: SensorLog) -> CleanLog:
         lost = 1.0 - float(are_numbers.mean())
         if lost > COMPLAINTS.worth_a_word:
             words = f"{lost:.0%} not finite", NOT_NUMBERS
-            findings.append(health.ok_or_warning("not_finite", f"{sensor}: numbers", *words))
+            findings.append(ok_or_warning("not_finite", f"{sensor}: numbers", *words))
         if bursts_in_words(increasing):
             burst = True
             even = spread_bursts(time)
@@ -78,7 +78,7 @@ def prepare(log: SensorLog) -> CleanLog:
     for sensor, usable in (("IMU", imu), ("field", field)):
         if usable.sum() <= HEALTH.fewest < len(usable):
             about = f"{sensor}: values", f"{usable.sum()} of {len(usable)} samples hold a value"
-            findings.append(health.ok_or_severe("no_values", *about, NOTHING_READ))
+            findings.append(ok_or_severe("no_values", *about, NOTHING_READ))
     log = _selected(log, imu, field)
     clean = _without_duplicates(log)
     if len(log.field) > HEALTH.fewest:
@@ -148,7 +148,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
             if span[1] - span[0] > HEALTH.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: check its wiring, and its driver's error messages"
-                found.append(health.ok_or_severe("frozen", f"{name}: alive", words, remedy))
+                found.append(ok_or_severe("frozen", f"{name}: alive", words, remedy))
                 stuck.append(span)
                 break
     if not stuck:
@@ -195,7 +195,7 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
         return log, ()
     size = f"{abs(off):.1f} s" if abs(off) < 1e5 else f"{abs(off):.4g} s"
     evidence = f"the field's are {size} {'later' if off > 0.0 else 'earlier'} than the IMU's"
-    line = health.ok_or_severe("clocks", "stamps: clocks", evidence, ONE_CLOCK)
+    line = ok_or_severe("clocks", "stamps: clocks", evidence, ONE_CLOCK)
     return replace(log, field_time=log.field_time - off), (line,)
 
 

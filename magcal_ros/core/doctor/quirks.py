@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
-from magcal_ros.core.doctor.health import Finding, ok_or_warning
+from magcal_ros.core.doctor.finding import Finding, ok_or_warning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS

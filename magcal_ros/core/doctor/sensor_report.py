@@ -20,21 +20,24 @@ from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, mount_of, parame
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, likely_rate_factor
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.field_by_movement import with_field
+from magcal_ros.core.doctor.finding import (
+    Finding,
+    ok_or_severe,
+    ok_or_warning,
+    undetermined,
+)
 from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
-    Finding,
     alive_finding,
     field_findings,
     noise_findings,
-    ok_or_severe,
-    ok_or_warning,
     stuck_axes,
-    undetermined,
     up_axis,
 )
-from magcal_ros.core.doctor.motion import MotionResult, compare, findings_by_turn
+from magcal_ros.core.doctor.motion import MotionResult, compare
 from magcal_ros.core.doctor.prepared import prepare, segment_of_log
 from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
+from magcal_ros.core.doctor.turn_errors import findings_by_turn
 from magcal_ros.core.doctor.turn_fit import fit_turn
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import usual_size
@@ -127,7 +130,9 @@ def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> Sensor
         return SensorReport((*prepared.findings, *known_quirks(log)))
     lines = [*prepared.findings, *noise_findings(prepared.log, found.factor), *found.findings]
     mount = wrong = compass = None
-    if hypothesis is not None:
+    if found.missing:
+        lines += findings_by_turn(found, None, None)
+    elif hypothesis is not None:
         is_wrong_unit = any(each.key == WRONG_UNIT and each.is_wrong for each in lines)
         is_usable = not prepared.restamped and not is_wrong_unit
         turn = found.turn if is_usable else None

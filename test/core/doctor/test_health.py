@@ -15,7 +15,7 @@ from magcal_ros.core.doctor import (
     stamps_finding,
     stuck_axes,
 )
-from magcal_ros.core.doctor.health import vector_in_words
+from magcal_ros.core.doctor.finding import vector_in_words
 from magcal_ros.core.samples import SensorLog
 from magcal_ros.core.simulation import Robot
 
