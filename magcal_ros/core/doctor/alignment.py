@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.doctor_tuning import WIDE, AlignmentPriors
+from magcal_ros.core.doctor.doctor_tuning import AXES, WIDE
 from magcal_ros.core.doctor.prepared import Segment
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import (
@@ -31,10 +31,9 @@ START_NOISE = np.array([0.1, 0.1])
 NO_BIAS = np.zeros(3)
 SETTLED = 0.01
 """Change of chi-square below which all candidates have settled."""
-FIRST_STEPS = 5
-ROUNDS = ((80.0, 4), (400.0, 4), (400.0, 4))
+DROPPED = (4.0 * AXES.remains, 20.0 * AXES.remains, 20.0 * AXES.remains)
 """Misfit beyond which a candidate is dropped, first with wide noise and then with that of the best
-one; and steps between estimates of the noise."""
+one, which is estimated anew each time."""
 PARAMETERS = 23
 SOFT, FIELD, IRON, UP = slice(0, 9), slice(9, 12), slice(12, 15), slice(15, 18)
 BIAS, SCALE, LAG = slice(18, 21), 21, 22
@@ -77,16 +76,16 @@ def align(
     Parameters as for `AlignmentFit`.
     """
     fit, kept = AlignmentFit(segment, axes, gyro, with_up), np.arange(len(axes))
-    at = fit.descend(fit.start(), START_NOISE, FIRST_STEPS)
+    at = fit.descend(fit.start(), START_NOISE, AXES.rounds)
     state, rms, misfit = at.state.copy(), at.rms, at.cost - at.cost.min()
-    for limit, steps in ROUNDS:
+    for limit in DROPPED:
         left = np.flatnonzero(misfit[kept] <= limit)
         best = left[np.argmin(at.cost[left])]
         noise = noise_of(at.residual[best], at.state[best])
         kept = kept[left]
         fit = AlignmentFit(segment, axes[kept], gyro[kept], with_up)
         fit.share = np.array([1.0 / inefficiency(values) for values in at.residual[best]])
-        at = fit.descend(at.state[left], noise, steps)
+        at = fit.descend(at.state[left], noise, AXES.rounds)
         state[kept], rms[kept], misfit[kept] = at.state, at.rms, at.cost - at.cost.min()
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(at.information)
@@ -159,7 +158,6 @@ class AlignmentFit:
         axes: FloatArray,
         gyro: FloatArray,
         with_up: bool = True,
-        priors: AlignmentPriors = WIDE,
     ) -> None:
         self.segment = segment
         self.sensors = 2 if with_up else 1
@@ -174,11 +172,11 @@ class AlignmentFit:
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
         symmetric = np.eye(9) - antisymmetric
         # Of field, hard iron, up and bias. Field and up are almost free.
-        vectors = np.repeat([1e-3, priors.hard_iron**-2.0, 1e-6, priors.bias**-2.0], 3)
-        self.prior = np.diag(np.r_[np.zeros(9), vectors, priors.scale**-2.0, priors.lag**-2.0])
+        vectors = np.repeat([1e-3, WIDE.hard_iron**-2.0, 1e-6, WIDE.bias**-2.0], 3)
+        self.prior = np.diag(np.r_[np.zeros(9), vectors, WIDE.scale**-2.0, WIDE.lag**-2.0])
         # A rotation by d has two elements ± d: hence the factor 0.5.
         self.prior[SOFT, SOFT] = (
-            0.5 * antisymmetric / priors.installation**2 + symmetric / priors.soft_iron**2
+            0.5 * antisymmetric / WIDE.installation**2 + symmetric / WIDE.soft_iron**2
         )
 
     def start(self) -> FloatArray:

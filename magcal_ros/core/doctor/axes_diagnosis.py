@@ -98,7 +98,7 @@ def _is_flipped(
         # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
     worse = given.field_right - other.field_right
-    return None if abs(worse) < AXES.doubtful else worse > 0.0
+    return None if abs(worse) < 0.5 * AXES.remains else worse > 0.0
 
 
 STANDARD = np.eye(3)

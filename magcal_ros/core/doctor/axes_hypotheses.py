@@ -89,25 +89,14 @@ class AxesHypotheses:
         """The index of the hypothesis with the best fit."""
         return int(np.argmin(self.cost))
 
-    @property
-    def fits_well(self) -> bool:
-        """Whether the best fit is so good that small differences are significant."""
-        return bool(self.fit.rms[self.best] < AXES.good_fit)
-
-    @property
-    def confirms_unit(self) -> bool:
-        """Whether the gyro's unit is right: the best hypothesis fits well, and not by chance.
+    def explains(self, worst: float) -> bool:
+        """Whether the residual of the movement, with the gyro's unit, is less than `worst`.
 
         In less than a quarter turn, some axes fit a field that varies from place to place, whatever
-        the gyro's unit.
+        the gyro's unit: then only the axes as given count.
         """
-        axes_fit = bool(self.fit.rms[self.as_given] < AXES.good_fit)
-        return self.fits_well and (axes_fit or abs(self.turned[self.best]) > 0.5 * math.pi)
-
-    def is_better(self, other: AxesHypotheses) -> bool:
-        """Whether the axes as given explain the movement better than any axes in `other`."""
-        own = self.fit.rms[self.as_given]
-        return bool(own < min(AXES.worst_fit, float(other.fit.rms.min())))
+        is_short = abs(self.turned[self.best]) < 0.5 * math.pi
+        return bool(self.fit.rms[self.as_given if is_short else self.best] < worst)
 
     def hypothesis(self, k: int) -> AxesHypothesis:
         """Return hypothesis `k`."""
@@ -226,7 +215,7 @@ def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     # acceleration does, too, if gravity does not show a lift that the gyro measures. Then only
     # clearly worse fits are excluded.
     plainly = rms > AXES.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, AXES.doubtful)
+    capped = np.minimum(misfit, 0.5 * AXES.remains)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 

@@ -7,7 +7,7 @@ Unless a line says otherwise, the values are from simulated sensors with and wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from magcal_ros.core.smoother.unknowns import ANY_WAY, KINDS, UNKNOWNS
 
@@ -37,8 +37,6 @@ class AlignmentPriors:
 
 
 WIDE = AlignmentPriors()
-FORCE_PRIORS = replace(WIDE, soft_iron=0.02)
-"""Those of an accelerometer in place of a magnetometer: its gains are nearly equal."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ class AxesTuning:
 
     remains: float = 20.0
     """Chi-square, in independent samples, up to which a hypothesis is kept. From twice as much the
-    axes as given are called wrong, and beyond four times a hypothesis is not fitted. Up to half as
-    much, candidates are ordered by common mistakes."""
+    axes as given are called wrong, and beyond four times a hypothesis is not fitted. Half as much
+    is the most that soft iron or acceleration may explain."""
     times: float = 2.0  # residual, relative to the best one, from which a fit is clearly worse
     lift: float = math.radians(3.0)
     """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
@@ -57,8 +55,6 @@ class AxesTuning:
     change of the field from sample to sample of a turn."""
     most_named: int = 3  # candidates that are described for one sensor
     most: int = 32  # hypotheses that are fitted
-    doubtful: float = 12.0
-    """Largest chi-square of field or gravity if soft iron or acceleration may explain it."""
     good_fit: float = 0.06
     """Residual, relative to the changing field, up to which small differences are significant."""
     settled: float = 0.02
@@ -128,7 +124,6 @@ class HealthTuning:
     share: float = 0.05
     """Fraction of samples that repeat the sample before, or that deviate from their neighbours,
     with a warning: places along a road cause up to 4%."""
-    spiky_gap: float = 0.07  # seconds between samples up to which a movement causes no spikes
     coarse: float = 0.5e-6  # tesla, resolution of the field
     lattice: float = 0.05  # mean deviation of numbers from a grid, relative to its step
     saturated: tuple[int, float] = (5, 1.5)

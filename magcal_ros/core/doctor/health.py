@@ -265,8 +265,9 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
 
 def _spikes(log: SensorLog) -> list[Finding]:
     """Check for single wrong samples of a field that comes fast enough to show them."""
+    # With fewer samples in half a period, a sway looks like spikes.
     usual_gap = float(np.median(np.diff(log.field_time)))
-    if len(log.field) < HEALTH.fewest or usual_gap > HEALTH.spiky_gap:
+    if len(log.field) < HEALTH.fewest or usual_gap > SWAY / 3.0:
         return []
     share = 1.0 - float(np.mean(without_spikes(log.field)))
     words = (

@@ -111,22 +111,19 @@ def compare(
 def _explained(
     log: SensorLog, factor: float, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[AxesHypotheses | None, float]:
-    """Explain the movement, with a known error of the gyro's unit if only this one fits well."""
+    """Explain the movement, with a known error of the gyro's unit if this fits better."""
 
     def explained(factor: float) -> AxesHypotheses | None:
         inclination = knowledge.reference.inclination
         return compare_axes(replace(log, rate=factor * log.rate), inclination, factor * bias)
 
-    # Rates in a wrong unit take longest to fit as they are, so a known error comes first.
     slip = None if factor == 1.0 else explained(factor)
-    if slip is not None and slip.confirms_unit:
+    # Rates in a wrong unit take longest to fit, so they are not compared with a good fit.
+    if slip is not None and slip.explains(AXES.good_fit):
         return slip, factor
     given = explained(1.0)
-    # After too small a turn, a unit that may be right is kept. Among magnetic objects, as in a
-    # street, no unit fits the field well.
-    if given is not None and slip is not None and not given.fits_well and slip.is_better(given):
-        return slip, factor
-    return given, 1.0
+    rival = AXES.worst_fit if given is None else min(AXES.worst_fit, float(given.fit.rms.min()))
+    return (slip, factor) if slip is not None and slip.explains(rival) else (given, 1.0)
 
 
 def _nothing_shown(

@@ -11,8 +11,6 @@ axes (`AlignmentFit`). The accelerometer's lever arm is fitted with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +24,7 @@ from magcal_ros.core.doctor.alignment import (
     noise_of,
 )
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, per_metre
-from magcal_ros.core.doctor.doctor_tuning import AXES, FORCE_PRIORS, TURN, WIDE
+from magcal_ros.core.doctor.doctor_tuning import AXES, TURN, WIDE
 from magcal_ros.core.doctor.prepared import liveliest, segment_of_log
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated, running_mean
@@ -61,30 +59,26 @@ def fit_turn(hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool)
     """Return the fit of a log by a hypothesis; None if it is refused.
 
     The smoother interpolates the rotation between its nodes, which is inexact for a large latency.
-    If the hypothesis clearly has one, a second fit is made with it subtracted from the stamps, and
-    the likelier of the two is used.
+    If the hypothesis clearly has one, it is subtracted from the stamps.
     """
     lag = float(hypothesis.state[LAG])
-    is_late = abs(lag) > max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG]))
-    lags = (0.0, lag) if is_late else (0.0,)
-    windows = [(each, _window(hypothesis, each, up_is_down)) for each in lags]
+    if abs(lag) <= max(AXES.settled, CLEAR * float(hypothesis.sigma[LAG])):
+        lag = 0.0
+    window = _window(hypothesis, lag, up_is_down)
+    if window is None:
+        return None
     # The field is already in body axes.
     nominal = replace(knowledge.mounting, gains=np.ones(3), pose=np.eye(3))
-    return _likeliest_fit(windows, replace(knowledge, mounting=nominal))
+    return _fit_window(window, replace(knowledge, mounting=nominal), lag)
 
 
 @in_level_axes
-def _likeliest_fit(
-    windows: Sequence[tuple[float, Window | None]], knowledge: Knowledge
-) -> TurnFit | None:
-    """Return the likeliest fit of windows, each with the latency (s) subtracted from its stamps."""
-    fits: list[tuple[float, Smoothed]] = []
-    for lag, window in windows:
-        with suppress(Refusal):
-            fits += [] if window is None else [(lag, smooth(window, knowledge))]
-    if not fits:
+def _fit_window(window: Window, knowledge: Knowledge, lag: float) -> TurnFit | None:
+    """Return the fit of a window, from whose stamps a latency (s) was subtracted."""
+    try:
+        best = smooth(window, knowledge)
+    except Refusal:
         return None
-    lag, best = max(fits, key=lambda one: _log_odds(one[1]))
     late, scale = _by_samples(best, "latency"), _by_samples(best, "gyro_matrix", 8)
     biases = [_by_samples(best, "gyro_bias", axis) for axis in range(3)]
     return TurnFit(
@@ -178,7 +172,7 @@ def force_latency(hypothesis: AxesHypothesis) -> Belief:
         part = segment_of_log(gravity, lag, TURN.most, TURN.most)
         if part is None:
             break
-        fit = AlignmentFit(part, *axes, with_up=False, priors=FORCE_PRIORS)
+        fit = AlignmentFit(part, *axes, with_up=False)
         found = _force_latency_by(fit, lag)
         if abs(found.value - lag) < AXES.settled:
             break
