@@ -144,7 +144,7 @@ class Chords:
 def is_hull(chords: Sequence[Chord]) -> bool:
     """Whether the course does not follow the turns of the gyro: a hull is likelier than wheels."""
     stamp, course, gyro_gap = np.array([(c.stamp, c.course, c.gyro_gap) for c in chords]).T
-    near = np.diff(stamp) <= COURSE.together
+    near = np.diff(stamp) <= COURSE.longest
     turned = wrap_angle(np.diff(gyro_gap + course)[near])
     # Modulo half a turn, because the sign of the speed may be wrong for a while.
     missed = 0.5 * wrap_angle(2.0 * np.diff(gyro_gap)[near])
@@ -179,7 +179,7 @@ def fit_course_offset(chords: Sequence[Chord]) -> CourseOffset | None:
     start = float(gaps[np.argmin(np.log1p(far).sum(axis=1))])
     gap = wrap_angle(gaps - start)
     # Repeated passes of a place add no independent information: together they are one observation.
-    squares = np.floor(np.column_stack([east, north]) / COURSE.place)
+    squares = np.floor(np.column_stack([east, north]) / STREET_LENGTH)
     _, first, cell = np.unique(squares, axis=0, return_index=True, return_inverse=True)
     cell = cell.ravel()
     waves = (np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi))

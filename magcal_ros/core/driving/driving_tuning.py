@@ -85,15 +85,14 @@ class CourseTuning:
 
     shortest: float = 5.0
     longest: float = 4.0
-    """Shortest distance, metres, and longest time, seconds, between the fixes of a chord."""
+    """Shortest distance, metres, and longest time, seconds, between the fixes of a chord, and the
+    latter between chords that are compared for drift."""
     largest_sigma: float = math.radians(12.0)
     """Largest sigma of a course, radians; that of a receiver at rest is larger."""
     largest_turn: float = math.radians(5.0)
     """Largest turn of a chord, radians: in curves lever arm, slip and latency cause errors."""
     relative_sigma: float = 0.3
     """Relative error of neighbouring fixes, metres; not the absolute accuracy."""
-    together: float = 10.0  # largest time between chords that are compared for drift, seconds
-    place: float = 24.0  # metres within which chords are one observation; the field differs beyond
     most: int = 400  # newest chords that are kept: a few kilometres
     wave_sigma: float = math.radians(3.0)
     """Prior sigma of the harmonics, radians: residual hard iron and soft iron."""
