@@ -95,7 +95,8 @@ class Screening:
     """Radius of the circle over the field's strength, below which the heading is mostly noise."""
     steepest: float = math.radians(84.0)
     """Radians of inclination at which too little of the field is level for a compass."""
-    worst_field_noise: float = 0.15  # over the field's strength
+    worst_field_noise: float = 0.15
+    """Over the field's strength, also of the field of a tumbled sensor."""
     worst_wobble: float = math.radians(30.0)
     """Radians beyond which a robot does not turn about one axis."""
     fewest_inliers: float = 0.4  # share of the samples

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibration.calibration import Estimate, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
 from magcal_ros.core.knowledge import CLEAR, Knowledge, in_level_axes
-from magcal_ros.core.methods.methods_tuning import CONTRADICTION
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
@@ -26,10 +26,9 @@ from magcal_ros.core.smoother.posterior import posterior_at
 from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, ROLL_PITCH, YAW, Size
 
 METHOD = "known_headings"
-DEGREES = 180.0 / math.pi
-MOST_SEARCHED = 24  # most measurements among which the contradicting one is searched
-
-
+LEAST_CHANCE = 1e-3
+"""Least probability of a larger misfit by chance (p-value), and of the headings as they were given,
+against another interpretation of them."""
 QUARTER = 0.5 * math.pi
 READINGS: dict[str, tuple[float, float]] = {
     "they count clockwise from north, as a compass bearing does: give the yaw to the left from "
@@ -118,18 +117,18 @@ def _contradiction(
         for words, read in _other_readings(measurements, norths).items()
     }
     words = min(rivals, key=lambda each: rivals[each].cost)
-    is_likelier = agreement.cost - rivals[words].cost > -2.0 * math.log(CONTRADICTION.chance)
-    if is_likelier and rivals[words].chance > CONTRADICTION.chance:
+    is_likelier = agreement.cost - rivals[words].cost > -2.0 * math.log(LEAST_CHANCE)
+    if is_likelier and rivals[words].chance > LEAST_CHANCE:
         return f"The known headings contradict the field: {words}. Corrected so, they agree."
-    if agreement.chance >= CONTRADICTION.chance:
+    if agreement.chance >= LEAST_CHANCE:
         return ""
     apart = [replace(each, turned_sigma=math.inf) for each in measurements]
-    if agreement_of(apart, knowledge, place).chance > CONTRADICTION.chance:
+    if agreement_of(apart, knowledge, place).chance > LEAST_CHANCE:
         return _by_gyro(measurements)
-    if 2 < count <= MOST_SEARCHED:
+    if count > 2:
         found = [agreement_of(_without(measurements, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
-        if found[k].chance > CONTRADICTION.chance:
+        if found[k].chance > LEAST_CHANCE:
             odd = measurements[k]
             given = wrapped(odd.heading - norths[k]) * DEGREES
             return (

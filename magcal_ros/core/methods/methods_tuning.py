@@ -63,28 +63,15 @@ class CloudTuning:
     fewest_samples: int = 40
     thinnest_cloud: float = 0.15
     """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
-    largest_residual: float = 0.15
-    """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
     outlier_deviations: float = 5.0
     """Robust standard deviations from the median distance beyond which a sample is an outlier."""
     least_gate: float = 0.02  # deviation over the radius up to which a sample is never an outlier
     rounds: int = 10  # most times that outliers are left out and the rest is fitted again
-    least_level_share: float = 0.1  # least level share of the field by which the scatter is divided
     installation_sigma: float = math.radians(3.0)
     """Prior of the magnetometer's rotation against the IMU, radians per axis."""
-
-
-@dataclass(frozen=True)
-class ContradictionTuning:
-    """When known headings contradict field and gyro."""
-
-    chance: float = 1e-3
-    """Least probability of a larger misfit by chance (p-value), and of the headings as they were
-    given, against another interpretation of them."""
 
 
 TIP = TipTuning()
 ELLIPSOID = EllipsoidTuning()
 MIN_MAX = MinMaxTuning()
 CLOUD = CloudTuning()
-CONTRADICTION = ContradictionTuning()

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.window import Window
 
-BLOCKS, FEWEST_BLOCKS = 16, 3
+BLOCKS = 16
 
 FitCorrection = Callable[[Window, Knowledge], Correction]
 
@@ -56,13 +56,13 @@ def jackknife_covariance(
 def _blocks_covariance(
     fit_correction: FitCorrection, window: Window, knowledge: Knowledge
 ) -> FloatArray:
-    pieces = np.array_split(np.arange(len(window)), min(BLOCKS, len(window)))
+    pieces = np.array_split(np.arange(len(window)), BLOCKS)
     answers = []
     for piece in pieces:
         shortened = window.take(np.delete(np.arange(len(window)), piece))
         with contextlib.suppress(Refusal):
             answers.append(fit_correction(shortened, knowledge).parameters)
-    if len(answers) <= len(pieces) // 2 or len(answers) < FEWEST_BLOCKS:
+    if len(answers) <= len(pieces) // 2:
         raise Refusal(
             Reason.NO_SOLUTION,
             "Without some parts of the turn there is no solution. Turn further, or once more.",

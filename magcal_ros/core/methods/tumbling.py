@@ -192,7 +192,7 @@ def finish(
         inclination=inclination,
         noise_field=noise,
         # An upper bound: the scatter contains the field's noise, too.
-        noise_up=mounting.scatter / max(math.cos(inclination), CLOUD.least_level_share),
+        noise_up=mounting.scatter / math.cos(min(abs(inclination), SCREENING.steepest)),
         inliers=inliers,
         residual=residual,
         figures=figures,
@@ -211,7 +211,7 @@ def _refuse_no_sphere(points: FloatArray, least: float, remedy: str) -> float:
             "all orientations, upside down included.",
         )
     rms = float(np.sqrt(np.mean((np.linalg.norm(points, axis=1) - 1.0) ** 2)))
-    if rms > CLOUD.largest_residual:
+    if rms > SCREENING.worst_field_noise:
         raise Refusal(
             Reason.NO_SOLUTION,
             f"The corrected samples miss the sphere by {100.0 * rms:.0f}% of its radius. " + remedy,
