@@ -294,6 +294,5 @@ def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> 
     seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
     power = float(expected @ expected)
     slope = float(expected @ seen) / power if power > 0.0 else 0.0
-    if abs(slope) < TIP.least_gyro_agreement:
-        return 0
-    return 1 if slope > 0.0 else -1
+    # One if both turn alike, zero if the gyro has nothing to do with the field.
+    return round(max(-1.0, min(1.0, slope)))

@@ -19,8 +19,6 @@ class TipTuning:
     clear_sense: float = 20.0
     """Standard errors from which gravity determines the sense of rotation. It is large because
     wobble is correlated; below it, the smaller installation is chosen."""
-    least_gyro_agreement: float = 0.5
-    """Slope of the field's phase against the gyro's angle from which the gyro's sense is used."""
     smallest_lever: float = math.sin(math.radians(10.0))
     """Length of the axis perpendicular to body y; below it the pitch is a rotation about the axis
     and not observable."""
@@ -65,7 +63,6 @@ class CloudTuning:
     """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
     outlier_deviations: float = 5.0
     """Robust standard deviations from the median distance beyond which a sample is an outlier."""
-    least_gate: float = 0.02  # deviation over the radius up to which a sample is never an outlier
     rounds: int = 10  # most times that outliers are left out and the rest is fitted again
     installation_sigma: float = math.radians(3.0)
     """Prior of the magnetometer's rotation against the IMU, radians per axis."""
