@@ -20,12 +20,7 @@ from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.doctor_tuning import HEALTH
-from magcal_ros.core.doctor.finding import (
-    Finding,
-    ok_or_severe,
-    ok_or_warning,
-    undetermined,
-)
+from magcal_ros.core.doctor.finding import Finding, ok_or_severe, ok_or_warning, undetermined
 from magcal_ros.core.doctor.guide import ASKED, Guide
 from magcal_ros.core.doctor.sensor_report import SensorReport, examine
 from magcal_ros.core.errors import MagcalError, UsageError

@@ -98,7 +98,7 @@ def _is_flipped(
         # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
     worse = given.field_right - other.field_right
-    return None if abs(worse) < 0.5 * AXES.remains else worse > 0.0
+    return None if abs(worse) < AXES.doubtful else worse > 0.0
 
 
 STANDARD = np.eye(3)
@@ -338,11 +338,12 @@ def _findings_on_axes(
             asked += f"; or {FIELD_POINTS_UP}"
         return AxesDiagnosis((ok_or_severe("axes", "axes", evidence, asked),), chosen[0], axes)
     evidence = "the other sensors contradict them"
-    line = ok_or_severe(f"{KEYS[names]}_axes", f"{names}: axes", evidence, remedies[names])
+    line = ok_or_severe(AXES_KEYS[names], f"{names}: axes", evidence, remedies[names])
     return AxesDiagnosis((line,), chosen[0], axes)
 
 
-KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
+AXES_KEYS = {"magnetometer": "field_axes", "gyro": "gyro_axes", "accelerometer": "force_axes"}
+"""By sensor: the key of the finding that its axes are wrong."""
 
 
 def _distinct(axes: FloatArray) -> FloatArray:

@@ -215,7 +215,7 @@ def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     # acceleration does, too, if gravity does not show a lift that the gyro measures. Then only
     # clearly worse fits are excluded.
     plainly = rms > AXES.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, 0.5 * AXES.remains)
+    capped = np.minimum(misfit, AXES.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 

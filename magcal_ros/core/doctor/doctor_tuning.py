@@ -45,8 +45,8 @@ class AxesTuning:
 
     remains: float = 20.0
     """Chi-square, in independent samples, up to which a hypothesis is kept. From twice as much the
-    axes as given are called wrong, and beyond four times a hypothesis is not fitted. Half as much
-    is the most that soft iron or acceleration may explain."""
+    axes as given are called wrong, and beyond four times a hypothesis is not fitted. Up to half as
+    much, candidates are ordered by common mistakes."""
     times: float = 2.0  # residual, relative to the best one, from which a fit is clearly worse
     lift: float = math.radians(3.0)
     """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
@@ -55,6 +55,8 @@ class AxesTuning:
     change of the field from sample to sample of a turn."""
     most_named: int = 3  # candidates that are described for one sensor
     most: int = 32  # hypotheses that are fitted
+    doubtful: float = 12.0
+    """Largest chi-square of field or gravity if soft iron or acceleration may explain it."""
     good_fit: float = 0.06
     """Residual, relative to the changing field, up to which small differences are significant."""
     settled: float = 0.02

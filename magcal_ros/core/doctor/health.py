@@ -15,10 +15,7 @@ from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.samples_tuning import STREAMS
 from magcal_ros.core.samples.spikes import white_noise, without_spikes
 from magcal_ros.core.samples.streams import SWAY
-from magcal_ros.core.samples.units import (
-    likely_field_unit,
-    slow_words,
-)
+from magcal_ros.core.samples.units import likely_field_unit, slow_words
 from magcal_ros.core.samples.window import SensorLog
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
@@ -40,13 +37,13 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         f"{1.0 / usual:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
         f"at most {gaps.max():.2f} s"
     )
-    if name == "IMU" and (slow := slow_words(usual)):
-        return ok_or_warning("slow", f"{name}: stamps", evidence, slow)
+    slow = slow_words(usual) if name == "IMU" else ""
     if name != "IMU" and usual > SWAY:
         slow = (
             f"the field comes at {1.0 / usual:.2g} Hz: for a turn or a drive with a gyro, publish "
             "or record it at 10 Hz or more, or let the driver average its readings"
         )
+    if slow:
         return ok_or_warning("slow", f"{name}: stamps", evidence, slow)
     if words := bursts_in_words(time):
         # The median gap is within a burst and does not give the rate.

@@ -16,16 +16,11 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.alignment import FIELD, IRON, SOFT
-from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, mount_of, parameter_line
+from magcal_ros.core.doctor.axes_diagnosis import AXES_KEYS, PossibleAxes, mount_of, parameter_line
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis, likely_rate_factor
 from magcal_ros.core.doctor.doctor_tuning import ERRORS
 from magcal_ros.core.doctor.field_by_movement import with_field
-from magcal_ros.core.doctor.finding import (
-    Finding,
-    ok_or_severe,
-    ok_or_warning,
-    undetermined,
-)
+from magcal_ros.core.doctor.finding import Finding, ok_or_severe, ok_or_warning, undetermined
 from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
     alive_finding,
@@ -142,7 +137,7 @@ def _report(log: SensorLog, found: MotionResult, knowledge: Knowledge) -> Sensor
         lines = with_field(lines, found, hypothesis, knowledge, turn)
         if axes is not None and found.factor == 1.0 and not found.up_is_down:
             compass = compass_of(hypothesis, knowledge)
-    is_field = any(finding.key == "field_axes" for finding in found.findings)
+    is_field = any(finding.key == AXES_KEYS["magnetometer"] for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
         mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
     lines += known_quirks(log, wrong)
@@ -201,7 +196,7 @@ def _imu_yaw(measured: Belief) -> Finding:
     return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)
 
 
-AXES_KEYS = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
+CONTRADICTIONS = ("axes", *AXES_KEYS.values(), "rate_unit", "frozen")
 """Keys of the findings that explain why field, gyro and gravity disagree."""
 
 
@@ -312,7 +307,7 @@ def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -
 def _refusal_by_comparison(
     window: Window,
     knowledge: Knowledge,
-    keys: tuple[str, ...] = AXES_KEYS,
+    keys: tuple[str, ...] = CONTRADICTIONS,
     least: Grade = Grade.WARN,
 ) -> Refusal | None:
     """Return a refusal by the comparison of the sensors, without the rest of the report."""
