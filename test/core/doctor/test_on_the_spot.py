@@ -1,5 +1,7 @@
 """A motor field is reported only for turns on the spot, and not for another place."""
 
+import math
+
 import numpy as np
 import pytest
 from long_form import first_of
@@ -11,8 +13,11 @@ from magcal_ros.core.samples import SensorLog
 RATE, STEP = 0.36, 1.0 / 30.0
 
 
-def log_of(radius, added):
-    """Rest, turn at `radius` metres from the axis, and rest; `added` is there while it turns."""
+def log_of(radius, added, sway=0.0):
+    """Rest, turn at `radius` metres from the axis, and rest; `added` is there while it turns.
+
+    The body sways by so many radians.
+    """
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, STEP)
     moves = np.clip(np.minimum(time, 25.0 - time) / 2.0, 0.0, 1.0)
@@ -24,6 +29,10 @@ def log_of(radius, added):
     force[:, 0] += radius * np.gradient(rate, STEP)
     force[:, 1] += radius * rate**2
     rates = np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape)
+    pace = math.tau * np.array([1.1, 0.8, 0.0])
+    leans = exp_rotations(-sway * np.sin(np.outer(time, pace)))
+    force, field, rates = ((leans @ each[:, :, None])[:, :, 0] for each in (force, field, rates))
+    rates += sway * pace * np.cos(np.outer(time, pace))
     return SensorLog(time, force, rates, time, field)
 
 
@@ -39,7 +48,7 @@ def test_a_drive_before_a_circle_is_not_taken_for_motors(case):
 
 
 def test_a_circle_without_a_rest_is_answered_by_a_turn_on_the_spot():
-    log = log_of(11.0, [0.0, 0.0, 0.0])
+    log = log_of(11.0, [0.0, 0.0, 0.0], sway=0.01)
     moves = (log.imu_time > 3.0) & (log.imu_time < 22.0)
     stamps = log.imu_time[moves]
     circle = SensorLog(stamps, log.force[moves], log.rate[moves], stamps, log.field[moves])
