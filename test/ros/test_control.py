@@ -47,7 +47,9 @@ class House:
         self.owner = self.pipeline = self.inputs = self.callback_errors = self
         self.streams = Streams(0.2)
         self.fits = self.files = AtOnce()
-        self.travel = self.estimator = self.motors = self.up = self
+        self.travel = self.estimator = self.motors = self.up = self.store = self
+
+    calibration = None
 
     def take_bias(self, found):
         self.biases.append(found)

@@ -34,8 +34,10 @@ class House:
     def __init__(self):
         self.reporter = self.fits = self.files = self
         self.travel = self.estimator = self.motors = self
-        self.owner = self.pipeline = self.inputs = self
+        self.owner = self.pipeline = self.inputs = self.store = self
         self.up, self.streams = UpFollower(), Streams(0.2)
+
+    calibration = None
 
     def use(self, _, tell):
         tell(Conclusion(True, ""))
