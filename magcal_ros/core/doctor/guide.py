@@ -144,5 +144,6 @@ class Guide:
 
     def _end(self, step: GuideStep, is_detected: bool, now: float) -> None:
         self.ended[step] = is_detected
-        self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
+        if self._blocks:
+            self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._step_start = now, len(self._blocks)
