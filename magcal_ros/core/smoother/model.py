@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother import factors_of_motion as motion
 from magcal_ros.core.smoother.currents import scale_by_current
@@ -20,7 +19,7 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.solver import Prior, Solution, WeightedResiduals, solve
-from magcal_ros.core.smoother.state import Course, State, damped, level_axes
+from magcal_ros.core.smoother.state import Course, State, damped
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
@@ -51,7 +50,6 @@ class Model:
     """Constants of the iterations."""
 
     nodes: Nodes
-    axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     kind: KindOfMotion
     earth: GaussianEarthPrior  # the Gaussian of the iterations
@@ -82,8 +80,7 @@ class Model:
             iron_over_axes=priors.iron_over_axes * kind.soft_iron,
             sizes={**priors.sizes, **begins},
         )
-        axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
-        return cls(nodes, axes, own, kind, priors.fields.about(start.shared[EARTH]))
+        return cls(nodes, own, kind, priors.fields.about(start.shared[EARTH]))
 
     @property
     def rows_of_earth(self) -> IntArray:
@@ -181,8 +178,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
 def course_at(model: Model, state: State) -> Course:
     """Return the course: where the robot rests, given the gyro's bias of a state."""
     bias = state.shared[AT["gyro_bias"]]
-    axes = model.axes @ rotation_about(factors.Z, state.shared[AT["mounting_yaw"]])[0]
-    return Course.of(model.nodes, axes, bias, model.priors.lengths)
+    return Course.of(model.nodes, state.mean_axes, bias, model.priors.lengths)
 
 
 def _measured(

@@ -43,8 +43,16 @@ class State:
 
         Up is the world's: the first two are level, however the body sways.
         """
+        return self._axes(self.attitude[:, :, 2])
+
+    @property
+    def mean_axes(self) -> FloatArray:
+        """The same by the mean direction of up, shape (3, 3)."""
+        return self._axes(np.median(self.attitude[:, :, 2], axis=0))
+
+    def _axes(self, up: FloatArray) -> FloatArray:
         forward = rotation_about(UP, self.shared[AT["mounting_yaw"]])[0]
-        return np.asarray(level_axes(self.attitude[:, :, 2]) @ forward)
+        return np.asarray(level_axes(up) @ forward)
 
     @property
     def is_backward(self) -> bool:
