@@ -53,7 +53,7 @@ ROUGH = Tolerances(rounds=20)  # of a first, rough fit of a kind of motion
 UNTIL_PLACES = Tolerances(rounds=12)
 """Of the first fits of a drive, which end soon after the places passed are known. The likeliest one
 is continued, and the other kinds then start again from it."""
-WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), short=1.5, most=300)
+WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), short=1.5)
 """Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 60.0, 100
 """Length in seconds of the part of a long window that is first tried as a turn on the spot, and the
