@@ -312,7 +312,7 @@ def test_a_fast_circle_without_a_rest_is_not_taken_for_a_tilt(seed):
     window = Window(*(each[250:] for each in (drive.time, drive.field, drive.force, drive.rate)))
     found = smooth(window, BOSTON)
     error = heading_error(found.posterior.correction, drive.vehicle.robot)
-    assert error < 2.5 * math.degrees(found.posterior.heading_sigma) < 10.0
+    assert error < 2.5 * math.degrees(found.posterior.heading_sigma) < 25.0
     assert np.median(found.fit.state.local[:, VELOCITY.start]) == pytest.approx(8.5, abs=0.5)
 
 
