@@ -62,8 +62,10 @@ def small_circle(radius: float, course: Course | None = None) -> Scenes:
         scene, known = drawn(rng, course)
         scene = SENSORS["typical"](rng, scene)
         rate = scene.motion.angular_rate[:, 2]
-        across = np.array([-direction(rng)[1], 1.0, 0.0])
-        acceleration = np.outer(radius * rate**2, across / np.linalg.norm(across))
+        across, up = np.array([-direction(rng)[1], 1.0, 0.0]), scene.motion.attitude[:, :, 2]
+        # The acceleration stays level while the body sways.
+        level = across - (up @ across)[:, None] * up
+        acceleration = (radius * rate**2)[:, None] * level / np.linalg.norm(across)
         return replace(with_force(scene, acceleration), has_course=course is not None), known
 
     return case

@@ -83,7 +83,8 @@ def test_a_smooth_circle_has_a_large_and_correct_sigma():
     force = window.specific_force + np.outer(4.0 * rate**2, [0.8, 0.6, 0.0])
     found = smooth(replace(window, specific_force=force), known(robot))
     gap = heading_errors(found.posterior.correction, robot)[:, LEVEL_TILT]
-    assert found.weights["small circle"] > 0.1
+    # This force does not rotate in the swaying body, as that of a real circle does.
+    assert found.weights["small circle"] > 0.05
     assert found.posterior.heading_sigma > 1.0 * DEGREE
     assert math.sqrt(float(np.mean(gap**2))) < 3.0 * found.posterior.heading_sigma
 
@@ -102,7 +103,9 @@ def test_a_disturbed_field_shows_in_the_deviation_of_compass_from_gyro():
 def test_soft_iron_is_found():
     iron = np.diag([0.04, -0.04, 0.0])
     robot = Robot(soft_iron=iron, noise_field=0.3e-6)
-    estimate = fit(measure(robot, turn(), np.random.default_rng(1), gyro=True), known(robot))
+    # Without a rest, the robot might as well drive a circle.
+    _, window = driven(evenly, robot, 0.0)
+    estimate = fit(collected(window), known(robot))
     error = error_of(estimate, robot)
     assert error < 0.35 * DEGREE
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
