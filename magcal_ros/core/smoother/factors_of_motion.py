@@ -27,7 +27,8 @@ def acceleration(
 ) -> tuple[Residuals, FloatArray]:
     """Return the specific force between nodes beyond gravity, in place of residuals.
 
-    The second value is the part of the velocity in level axes, shape (k, 2). Both are in m/s².
+    The second value is the change of the velocity alone, in level axes, shape (k, 2). Both are in
+    m/s².
 
     A vehicle's velocity stays level while its body sways: its acceleration is computed in level
     axes. The lever arm rotates with the body. `axes` (k, 3, 3) are the vehicle's axes in body axes.

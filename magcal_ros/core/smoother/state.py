@@ -11,11 +11,11 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
+from magcal_ros.core.knowledge import Z
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, STREET, Lengths
 
 SECTORS = 12  # of heading
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class State:
         return self._axes(np.median(self.attitude[:, :, 2], axis=0))
 
     def _axes(self, up: FloatArray) -> FloatArray:
-        forward = rotation_about(UP, self.shared[AT["mounting_yaw"]])[0]
+        forward = rotation_about(Z, self.shared[AT["mounting_yaw"]])[0]
         return np.asarray(level_axes(up) @ forward)
 
     @property
